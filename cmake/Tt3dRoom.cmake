@@ -1,0 +1,45 @@
+# One target a room. A room exposes only include/<room>, so including a room that is not linked,
+# directly or through another, does not compile.
+
+# -Wrestrict: g++ 12 reports std::string concatenation wrongly (GCC bug 105651).
+set(TT3D_WARNINGS -Wall -Wextra -Wshadow -Wconversion -Wno-sign-conversion -Wno-restrict -Werror)
+
+# tt3d_room(NAME [TORCH] SOURCES a.cpp ... [LINK rooms...] [LIBS private libraries...])
+function(tt3d_room name)
+  cmake_parse_arguments(ROOM "TORCH" "" "SOURCES;LINK;LIBS" ${ARGN})
+  add_library(tt3d_${name} STATIC ${ROOM_SOURCES})
+  target_include_directories(tt3d_${name} PUBLIC "${CMAKE_SOURCE_DIR}/include/${name}"
+                                          PRIVATE "${CMAKE_CURRENT_SOURCE_DIR}")
+  foreach(_room IN LISTS ROOM_LINK)
+    target_link_libraries(tt3d_${name} PUBLIC tt3d_${_room})
+  endforeach()
+  target_link_libraries(tt3d_${name} PRIVATE ${ROOM_LIBS})
+  target_compile_options(tt3d_${name} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:${TT3D_WARNINGS}>)
+  if(ROOM_TORCH)
+    target_link_libraries(tt3d_${name} PUBLIC TorchLibs::cpu)
+    tt3d_torch_pch(tt3d_${name})
+  endif()
+endfunction()
+
+# ATen costs seconds a file: parse it once (tt3d_torch_pch_owner, src/device), share it with every
+# target that uses torch.
+function(tt3d_torch_pch target)
+  target_precompile_headers(${target} REUSE_FROM tt3d_torch_pch_owner)
+endfunction()
+
+# tt3d_test(NAME SOURCES a_test.cpp ... LINK rooms...): one GoogleTest program a room.
+function(tt3d_test name)
+  cmake_parse_arguments(TEST "" "" "SOURCES;LINK;LIBS" ${ARGN})
+  add_executable(${name}_test ${TEST_SOURCES})
+  foreach(_room IN LISTS TEST_LINK)
+    target_link_libraries(${name}_test PRIVATE tt3d_${_room})
+  endforeach()
+  target_link_libraries(${name}_test PRIVATE tt3d_test_support ${TEST_LIBS} GTest::gtest_main)
+  target_include_directories(${name}_test PRIVATE "${CMAKE_SOURCE_DIR}/tests"
+                                                  "${CMAKE_SOURCE_DIR}/src")
+  target_compile_options(${name}_test PRIVATE ${TT3D_WARNINGS})
+  target_compile_definitions(${name}_test PRIVATE
+    TT3D_SOURCE_DIR="${CMAKE_SOURCE_DIR}" TT3D_BINARY_DIR="${CMAKE_BINARY_DIR}")
+  tt3d_torch_pch(${name}_test)
+  gtest_discover_tests(${name}_test DISCOVERY_TIMEOUT 60 PROPERTIES TIMEOUT 600)
+endfunction()

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "tt3d/core.h"
+
+/// Classifiers as data: a torch.export archive (.pt2) and its card (.json), read without executing
+/// anything in them and run through the ATen dispatcher with gradients.
+namespace tt3d {
+
+/// The card of a model package (design, section 9 "Model package").
+struct ModelCard {
+  std::string name, architecture, source, licence;
+  int64_t height = 0, width = 0;      ///< input size in pixels
+  int64_t resize = 0;                 ///< shorter side before the centre crop
+  std::string interpolation;          ///< "bilinear" or "bicubic"
+  std::vector<double> mean, std;      ///< per RGB channel, of values in [0,1]
+  std::vector<std::string> labels;    ///< one name a class, in order of the logits
+  std::vector<std::string> wnids;     ///< WordNet ids when the labels are imagenet-1k, else empty
+  std::string sha256;                 ///< of the .pt2
+};
+
+/// Limits on what a package may contain.
+struct ModelLimits {
+  int64_t archive_bytes = int64_t{4} << 30;
+  int64_t nodes = 100000;
+  int64_t tensor_bytes = int64_t{2} << 30;
+  int64_t intermediate_bytes = int64_t{16} << 30;
+  int json_depth = 128;
+};
+
+/// An image classifier whose weights cannot change. Safe to call from one thread at a time.
+class Classifier {
+ public:
+  /// `model` is a path to a .pt2 or a name found in models/ or $TT3D_MODELS.
+  /// Throws InputError for anything wrong with archive, card or probe. `warn` receives warnings
+  /// (a card without a probe).
+  static std::shared_ptr<Classifier> load(const std::string& model, const ModelLimits& limits = {},
+                                          Progress* warn = nullptr);
+  virtual ~Classifier() = default;
+
+  [[nodiscard]] virtual const ModelCard& card() const = 0;
+  /// images [N,3,H,W] float32, RGB sRGB in [0,1], of the card's input size; returns logits
+  /// [N,classes]. Normalises by the card; differentiable with respect to the images.
+  [[nodiscard]] virtual at::Tensor logits(const at::Tensor& images) const = 0;
+  /// SHA-256 over all parameters and buffers: the same before and after any use.
+  [[nodiscard]] virtual std::string weights_hash() const = 0;
+};
+
+/// The picture a classifier sees of an image, as its users would make it: resize the shorter side
+/// to the card's `resize` (antialiased, as Pillow does it), then centre crop to the input size.
+/// images [N,3,h,w] float32 in [0,1]; returns [N,3,H,W]; differentiable.
+[[nodiscard]] at::Tensor preprocess(const at::Tensor& images, const ModelCard& card);
+
+/// A class of a model, found by index ("849"), WordNet id ("n04398044") or name ("teapot").
+struct ClassId {
+  int64_t index = -1;
+  std::string wnid;   ///< empty when the model has no WordNet ids
+  std::string name;
+};
+
+/// Throws InputError: unknown (with the nearest names) or ambiguous (with the candidates).
+[[nodiscard]] ClassId find_class(const std::string& text, const ModelCard& card);
+
+}  // namespace tt3d

@@ -1,0 +1,103 @@
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <chrono>
+#include <cstring>
+#include <fstream>
+
+#include "tt3d/core.h"
+
+extern char** environ;
+
+namespace tt3d {
+namespace {
+
+/// Closes its descriptor at the end of the scope.
+struct Descriptor {
+  int fd = -1;
+  ~Descriptor() {
+    if (fd >= 0) ::close(fd);
+  }
+};
+
+/// Reads what the child prints until it closes its end or the deadline passes.
+bool drain(int fd, double deadline, std::string& output) {
+  char buffer[4096];
+  while (true) {
+    const double left = deadline - now_seconds();
+    if (left <= 0) return false;
+    pollfd poll_fd{fd, POLLIN, 0};
+    if (::poll(&poll_fd, 1, static_cast<int>(std::min(left, 1.0) * 1000) + 1) <= 0) continue;
+    const ssize_t n = ::read(fd, buffer, sizeof buffer);
+    if (n == 0 || (n < 0 && errno != EINTR)) return true;
+    if (n > 0) output.append(buffer, static_cast<size_t>(n));
+  }
+}
+
+pid_t spawn(const std::vector<std::string>& command, int output_fd) {
+  std::vector<char*> argv;
+  for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
+  argv.push_back(nullptr);
+  posix_spawn_file_actions_t actions;
+  posix_spawn_file_actions_init(&actions);
+  posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
+  posix_spawn_file_actions_adddup2(&actions, output_fd, 1);
+  posix_spawn_file_actions_adddup2(&actions, output_fd, 2);
+  pid_t pid = 0;
+  const int error = posix_spawnp(&pid, argv[0], &actions, nullptr, argv.data(), environ);
+  posix_spawn_file_actions_destroy(&actions);
+  if (error != 0) {
+    throw MissingToolError(command.front() + ": cannot start: " + std::strerror(error) +
+                           "; run scripts/setup");
+  }
+  return pid;
+}
+
+}  // namespace
+
+ProcessResult run_process(const std::vector<std::string>& command, double time_limit_seconds) {
+  int pipe_fds[2];
+  if (::pipe2(pipe_fds, O_CLOEXEC) != 0) throw ResourceError("cannot open a pipe");
+  Descriptor reader{pipe_fds[0]};
+  Descriptor writer{pipe_fds[1]};
+  const pid_t pid = spawn(command, writer.fd);
+  ::close(writer.fd);
+  writer.fd = -1;
+
+  ProcessResult result;
+  result.timed_out = !drain(reader.fd, now_seconds() + time_limit_seconds, result.output);
+  if (result.timed_out) ::kill(pid, SIGKILL);
+  int status = 0;
+  while (::waitpid(pid, &status, 0) < 0 && errno == EINTR) {
+  }
+  result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+  return result;
+}
+
+double now_seconds() noexcept {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch())
+      .count();
+}
+
+int64_t peak_memory_bytes() noexcept {
+  // VmHWM obeys clear_refs, unlike getrusage; fall back where /proc is absent.
+  std::ifstream status("/proc/self/status");
+  for (std::string line; std::getline(status, line);) {
+    if (line.starts_with("VmHWM:")) return std::strtoll(line.c_str() + 6, nullptr, 10) * 1024;
+  }
+  rusage usage{};
+  ::getrusage(RUSAGE_SELF, &usage);
+  return static_cast<int64_t>(usage.ru_maxrss) * 1024;
+}
+
+void reset_peak_memory() noexcept {
+  std::ofstream("/proc/self/clear_refs") << "5";
+}
+
+}  // namespace tt3d
