@@ -1,0 +1,1 @@
+"""Python helpers of tt3d: exporters, drivers of other renderers, unwrapping."""
