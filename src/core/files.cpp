@@ -75,8 +75,7 @@ void make_folder(const fs::path& path) {
   }
 }
 
-void write_file_atomic(const fs::path& path,
-                       const std::function<void(const fs::path&)>& write) {
+void write_file_atomic(const fs::path& path, const std::function<void(const fs::path&)>& write) {
   make_folder(path.parent_path());
   const fs::path temporary = temporary_beside(path);
   try {

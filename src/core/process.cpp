@@ -81,8 +81,7 @@ ProcessResult run_process(const std::vector<std::string>& command, double time_l
 }
 
 double now_seconds() noexcept {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch())
-      .count();
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
 int64_t peak_memory_bytes() noexcept {
@@ -96,8 +95,6 @@ int64_t peak_memory_bytes() noexcept {
   return static_cast<int64_t>(usage.ru_maxrss) * 1024;
 }
 
-void reset_peak_memory() noexcept {
-  std::ofstream("/proc/self/clear_refs") << "5";
-}
+void reset_peak_memory() noexcept { std::ofstream("/proc/self/clear_refs") << "5"; }
 
 }  // namespace tt3d

@@ -109,9 +109,9 @@ void make_folder(const std::filesystem::path& path);
 
 /// What a finished child process left.
 struct ProcessResult {
-  int exit_code = 0;        ///< 128+signal when it was killed
-  bool timed_out = false;   ///< ended by us at the time limit
-  std::string output;       ///< stdout and stderr, together
+  int exit_code = 0;       ///< 128+signal when it was killed
+  bool timed_out = false;  ///< ended by us at the time limit
+  std::string output;      ///< stdout and stderr, together
 };
 
 /// Runs `command` (argv, no shell) with a time limit in seconds and ends it beyond that.

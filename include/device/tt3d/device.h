@@ -17,8 +17,7 @@
 /// machine has chosen at load time.
 #if defined(__x86_64__) && !defined(__CUDACC__) && !defined(__clang__) && \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#define TT3D_CPU_LOOP \
-  __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
+#define TT3D_CPU_LOOP __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
 #define TT3D_CPU_LOOP
 #endif

@@ -1,0 +1,61 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <cstdint>
+#include <utility>
+
+/// Differentiable rasterisation in four operators that compose: rasterize, interpolate, texture,
+/// antialias. The split follows Laine et al., "Modular Primitives for High-Performance
+/// Differentiable Rendering", TOG 2020; the code is our own.
+///
+/// Shapes: N views, V vertices, F faces, C channels. All tensors are dense, float32 (or float64,
+/// for checks); indices int32. Row 0 is the top of the picture. Errors: shape or dtype mismatches
+/// throw c10::Error (a programming error, not a user's).
+namespace tt3d {
+
+/// Finds the nearest triangle at every pixel centre.
+/// clip [N,V,4] OpenGL clip space; faces [F,3].
+/// Returns [N,H,W,4] = (u, v, z/w, triangle + 1), background 0; u and v are the
+/// perspective-correct barycentric weights of the triangle's first and second vertex
+/// (Olano & Greer, "Triangle scan conversion using 2D homogeneous coordinates", 1997).
+/// Both orientations are drawn. Coverage is exact: a pixel centre on a shared edge or vertex
+/// belongs to exactly one of the triangles around it. Equal depths go to the lower index.
+/// Differentiable: (u, v) with respect to clip; z/w and the index are constants.
+[[nodiscard]] at::Tensor rasterize(const at::Tensor& clip, const at::Tensor& faces, int64_t height,
+                                   int64_t width);
+
+/// Attributes of the visible surface points: attributes [V,C], rast from rasterize, faces [F,3].
+/// Returns [N,H,W,C], 0 on the background. Differentiable with respect to attributes and rast.
+[[nodiscard]] at::Tensor interpolate(const at::Tensor& attributes, const at::Tensor& rast,
+                                     const at::Tensor& faces);
+
+/// Screen-space derivatives of an interpolated attribute, for mipmap levels: clip as given to
+/// rasterize. Returns [N,H,W,2C] with (d/dx, d/dy) per channel, in units per pixel (y down).
+/// Not differentiable.
+[[nodiscard]] at::Tensor attribute_derivatives(const at::Tensor& attributes, const at::Tensor& rast,
+                                               const at::Tensor& clip, const at::Tensor& faces);
+
+/// For each face's edge e (opposite its vertex e): the vertex of the neighbouring face across
+/// that edge, or -1 where there is none or more than one neighbour. Returns [F,3] int32.
+[[nodiscard]] at::Tensor edge_opposites(const at::Tensor& faces);
+
+/// Antialiases silhouettes, and so gives coverage a gradient with respect to vertex positions:
+/// where two neighbouring pixels show different triangles and a silhouette edge of the nearer one
+/// passes between their centres, the pixel that the edge cuts is blended with its neighbour by
+/// the share of it that the edge uncovers (Laine et al. 2020, section 3.5).
+/// color [N,H,W,C]; opposites from edge_opposites. Returns [N,H,W,C]. Differentiable with respect
+/// to color and clip. Do this on premultiplied colour with alpha, and composite after.
+[[nodiscard]] at::Tensor antialias(const at::Tensor& color, const at::Tensor& rast,
+                                   const at::Tensor& clip, const at::Tensor& faces,
+                                   const at::Tensor& opposites);
+
+/// Texture look-up, bilinear within and between mipmap levels, wrapped at the borders.
+/// texture [H,W,C]; uv [N,h,w,2] in [0,1], (0,0) the outer corner of texel (0,0);
+/// uv_derivatives [N,h,w,4] from attribute_derivatives, or undefined for no mipmaps;
+/// mask: rast, whose background pixels return 0. Returns [N,h,w,C].
+/// Differentiable with respect to texture and uv; the level is a constant.
+[[nodiscard]] at::Tensor texture(const at::Tensor& texture, const at::Tensor& uv,
+                                 const at::Tensor& uv_derivatives, const at::Tensor& rast);
+
+}  // namespace tt3d

@@ -1,0 +1,303 @@
+#include "tt3d/raster.h"
+
+#include <ATen/ATen.h>
+#include <torch/csrc/autograd/custom_function.h>
+
+#include <unordered_map>
+#include <vector>
+
+#include "raster_cpu.h"
+
+// The only file of the room with torch: checks, allocation, autograd.
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+using torch::autograd::AutogradContext;
+using torch::autograd::Function;
+using torch::autograd::variable_list;
+
+void check_indices(const Tensor& t, const char* name) {
+  TORCH_CHECK(t.dim() == 2 && t.size(1) == 3 && t.scalar_type() == at::kInt && t.is_contiguous(),
+              name, " must be dense [F,3] int32");
+}
+
+void check_rast(const Tensor& rast) {
+  TORCH_CHECK(rast.dim() == 4 && rast.size(3) == 4, "rast must be [N,H,W,4]");
+}
+
+raster::Sizes sizes_of(const Tensor& rast, const Tensor& faces, int64_t vertices,
+                       int64_t channels) {
+  return {rast.size(0), vertices, faces.size(0), rast.size(1), rast.size(2), channels};
+}
+
+#define TT3D_DISPATCH(TENSOR, NAME, ...) \
+  AT_DISPATCH_FLOATING_TYPES((TENSOR).scalar_type(), NAME, __VA_ARGS__)
+
+struct Rasterize : public Function<Rasterize> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& clip_in, const Tensor& faces,
+                        int64_t height, int64_t width) {
+    const Tensor clip = clip_in.contiguous();
+    Tensor rast = at::zeros({clip.size(0), height, width, 4}, clip.options());
+    const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
+    TT3D_DISPATCH(clip, "rasterize", [&] {
+      raster::rasterize_cpu(clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
+                            rast.mutable_data_ptr<scalar_t>(), s);
+    });
+    ctx->save_for_backward({clip, faces, rast});
+    return rast;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
+    const variable_list saved = ctx->get_saved_variables();
+    const Tensor &clip = saved[0], &faces = saved[1], &rast = saved[2];
+    const Tensor grad = grads[0].contiguous();
+    Tensor grad_clip = at::zeros_like(clip);
+    const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
+    TT3D_DISPATCH(clip, "rasterize_backward", [&] {
+      raster::rasterize_backward_cpu(
+          clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
+          rast.const_data_ptr<scalar_t>(), grad.const_data_ptr<scalar_t>(),
+          grad_clip.mutable_data_ptr<scalar_t>(), s);
+    });
+    return {grad_clip, Tensor(), Tensor(), Tensor()};
+  }
+};
+
+struct Interpolate : public Function<Interpolate> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& attributes_in, const Tensor& rast_in,
+                        const Tensor& faces) {
+    const Tensor attributes = attributes_in.contiguous();
+    const Tensor rast = rast_in.contiguous();
+    const int64_t channels = attributes.size(1);
+    Tensor out =
+        at::zeros({rast.size(0), rast.size(1), rast.size(2), channels}, attributes.options());
+    const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
+    TT3D_DISPATCH(out, "interpolate", [&] {
+      raster::interpolate_cpu(attributes.const_data_ptr<scalar_t>(),
+                              rast.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
+                              out.mutable_data_ptr<scalar_t>(), s);
+    });
+    ctx->save_for_backward({attributes, rast, faces});
+    return out;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
+    const variable_list saved = ctx->get_saved_variables();
+    const Tensor &attributes = saved[0], &rast = saved[1], &faces = saved[2];
+    const Tensor grad = grads[0].contiguous();
+    Tensor grad_attributes, grad_rast;
+    if (ctx->needs_input_grad(0)) grad_attributes = at::zeros_like(attributes);
+    if (ctx->needs_input_grad(1)) grad_rast = at::zeros_like(rast);
+    const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), attributes.size(1));
+    TT3D_DISPATCH(grad, "interpolate_backward", [&] {
+      raster::interpolate_backward_cpu(
+          attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
+          faces.const_data_ptr<int32_t>(), grad.const_data_ptr<scalar_t>(),
+          grad_attributes.defined() ? grad_attributes.mutable_data_ptr<scalar_t>() : nullptr,
+          grad_rast.defined() ? grad_rast.mutable_data_ptr<scalar_t>() : nullptr, s);
+    });
+    return {grad_attributes, grad_rast, Tensor()};
+  }
+};
+
+struct Antialias : public Function<Antialias> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& color_in, const Tensor& rast,
+                        const Tensor& clip_in, const Tensor& faces, const Tensor& opposites) {
+    const Tensor color = color_in.contiguous();
+    const Tensor clip = clip_in.contiguous();
+    Tensor out = color.clone();
+    const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
+    TT3D_DISPATCH(out, "antialias", [&] {
+      raster::antialias_cpu(color.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
+                            clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
+                            opposites.const_data_ptr<int32_t>(), out.mutable_data_ptr<scalar_t>(),
+                            s);
+    });
+    ctx->save_for_backward({color, rast, clip, faces, opposites});
+    return out;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
+    const variable_list saved = ctx->get_saved_variables();
+    const Tensor &color = saved[0], &rast = saved[1], &clip = saved[2], &faces = saved[3];
+    const Tensor grad = grads[0].contiguous();
+    Tensor grad_color = grad.clone();
+    Tensor grad_clip;
+    if (ctx->needs_input_grad(2)) grad_clip = at::zeros_like(clip);
+    const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
+    TT3D_DISPATCH(grad, "antialias_backward", [&] {
+      raster::antialias_backward_cpu(
+          color.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
+          clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
+          saved[4].const_data_ptr<int32_t>(), grad.const_data_ptr<scalar_t>(),
+          grad_color.mutable_data_ptr<scalar_t>(),
+          grad_clip.defined() ? grad_clip.mutable_data_ptr<scalar_t>() : nullptr, s);
+    });
+    return {grad_color, Tensor(), grad_clip, Tensor(), Tensor()};
+  }
+};
+
+/// The chain of 2x2 box-filtered levels down to a side of one texel or an odd size.
+std::vector<Tensor> mipmaps(const Tensor& texture, bool with_levels) {
+  std::vector<Tensor> chain = {texture};
+  while (with_levels && chain.back().size(0) % 2 == 0 && chain.back().size(1) % 2 == 0) {
+    const Tensor& t = chain.back();
+    chain.push_back(
+        t.view({t.size(0) / 2, 2, t.size(1) / 2, 2, t.size(2)}).mean({1, 3}).contiguous());
+  }
+  return chain;
+}
+
+/// Spreads each level's gradient over the four texels it averaged, finest last.
+void fold_mipmap_gradients(std::vector<Tensor>& grads) {
+  for (size_t i = grads.size() - 1; i > 0; --i) {
+    const Tensor coarse = grads[i] * 0.25;
+    Tensor& fine = grads[i - 1];
+    fine.view({fine.size(0) / 2, 2, fine.size(1) / 2, 2, fine.size(2)})
+        .add_(coarse.unsqueeze(1).unsqueeze(3));
+  }
+}
+
+template <typename T>
+std::vector<raster::MipLevel<T>> level_views(const std::vector<Tensor>& chain,
+                                             const std::vector<Tensor>& grads) {
+  std::vector<raster::MipLevel<T>> levels;
+  for (size_t i = 0; i < chain.size(); ++i) {
+    levels.push_back({const_cast<T*>(chain[i].const_data_ptr<T>()),
+                      i < grads.size() ? grads[i].mutable_data_ptr<T>() : nullptr, chain[i].size(0),
+                      chain[i].size(1)});
+  }
+  return levels;
+}
+
+struct Texture : public Function<Texture> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& texture_in, const Tensor& uv_in,
+                        const Tensor& derivatives, const Tensor& rast) {
+    const Tensor uv = uv_in.contiguous();
+    const std::vector<Tensor> chain = mipmaps(texture_in.contiguous(), derivatives.numel() > 0);
+    Tensor out =
+        at::zeros({uv.size(0), uv.size(1), uv.size(2), texture_in.size(2)}, texture_in.options());
+    const raster::Sizes s = {uv.size(0), 0, 0, uv.size(1), uv.size(2), texture_in.size(2)};
+    TT3D_DISPATCH(out, "texture", [&] {
+      const auto levels = level_views<scalar_t>(chain, {});
+      raster::texture_cpu(
+          levels.data(), static_cast<int64_t>(levels.size()), uv.const_data_ptr<scalar_t>(),
+          derivatives.numel() > 0 ? derivatives.const_data_ptr<scalar_t>() : nullptr,
+          rast.const_data_ptr<scalar_t>(), out.mutable_data_ptr<scalar_t>(), s);
+    });
+    variable_list saved = {uv, rast, derivatives};
+    saved.insert(saved.end(), chain.begin(), chain.end());
+    ctx->save_for_backward(saved);
+    return out;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grad_list) {
+    const variable_list saved = ctx->get_saved_variables();
+    const Tensor &uv = saved[0], &rast = saved[1], &derivatives = saved[2];
+    const std::vector<Tensor> chain(saved.begin() + 3, saved.end());
+    const Tensor grad = grad_list[0].contiguous();
+    Tensor grad_uv = at::zeros_like(uv);
+    std::vector<Tensor> grads;
+    if (ctx->needs_input_grad(0)) {
+      for (const Tensor& level : chain) grads.push_back(at::zeros_like(level));
+    }
+    const raster::Sizes s = {uv.size(0), 0, 0, uv.size(1), uv.size(2), grad.size(3)};
+    TT3D_DISPATCH(grad, "texture_backward", [&] {
+      const auto levels = level_views<scalar_t>(chain, grads);
+      raster::texture_backward_cpu(
+          levels.data(), static_cast<int64_t>(levels.size()), uv.const_data_ptr<scalar_t>(),
+          derivatives.numel() > 0 ? derivatives.const_data_ptr<scalar_t>() : nullptr,
+          rast.const_data_ptr<scalar_t>(), grad.const_data_ptr<scalar_t>(),
+          grad_uv.mutable_data_ptr<scalar_t>(), s);
+    });
+    if (!grads.empty()) fold_mipmap_gradients(grads);
+    return {grads.empty() ? Tensor() : grads[0], grad_uv, Tensor(), Tensor()};
+  }
+};
+
+}  // namespace
+
+Tensor rasterize(const Tensor& clip, const Tensor& faces, int64_t height, int64_t width) {
+  TORCH_CHECK(clip.dim() == 3 && clip.size(2) == 4, "clip must be [N,V,4]");
+  check_indices(faces, "faces");
+  // float32 holds integers exactly up to 2^24, and the triangle's number travels as a float.
+  TORCH_CHECK(faces.size(0) < (1 << 24), "at most 2^24 - 1 faces");
+  return Rasterize::apply(clip, faces, height, width);
+}
+
+Tensor interpolate(const Tensor& attributes, const Tensor& rast, const Tensor& faces) {
+  TORCH_CHECK(attributes.dim() == 2, "attributes must be [V,C]");
+  check_rast(rast);
+  check_indices(faces, "faces");
+  return Interpolate::apply(attributes, rast, faces);
+}
+
+Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
+                             const Tensor& clip_in, const Tensor& faces) {
+  check_rast(rast_in);
+  check_indices(faces, "faces");
+  const Tensor attributes = attributes_in.detach().contiguous();
+  const Tensor rast = rast_in.detach().contiguous(), clip = clip_in.detach().contiguous();
+  const int64_t channels = attributes.size(1);
+  Tensor out =
+      at::zeros({rast.size(0), rast.size(1), rast.size(2), 2 * channels}, attributes.options());
+  const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
+  TT3D_DISPATCH(out, "attribute_derivatives", [&] {
+    raster::attribute_derivatives_cpu(
+        attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
+        clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
+        out.mutable_data_ptr<scalar_t>(), s);
+  });
+  return out;
+}
+
+Tensor edge_opposites(const Tensor& faces) {
+  check_indices(faces, "faces");
+  struct Sides {
+    int32_t count = 0;
+    int32_t opposite_sum = 0;  // of the first two; own one is subtracted to find the other
+  };
+  const int64_t count = faces.size(0);
+  const int32_t* f = faces.const_data_ptr<int32_t>();
+  const auto key_of = [&](int64_t face, int k) {
+    const auto a = static_cast<uint64_t>(f[3 * face + (k + 1) % 3]);
+    const auto b = static_cast<uint64_t>(f[3 * face + (k + 2) % 3]);
+    return (std::min(a, b) << 32) | std::max(a, b);
+  };
+  std::unordered_map<uint64_t, Sides> edges;
+  edges.reserve(static_cast<size_t>(count) * 3 / 2);
+  for (int64_t i = 0; i < count; ++i) {
+    for (int k = 0; k < 3; ++k) {
+      Sides& sides = edges[key_of(i, k)];
+      if (++sides.count <= 2) sides.opposite_sum += f[3 * i + k];
+    }
+  }
+  Tensor opposites = at::empty({count, 3}, faces.options());
+  auto* out = opposites.mutable_data_ptr<int32_t>();
+  for (int64_t i = 0; i < count; ++i) {
+    for (int k = 0; k < 3; ++k) {
+      const Sides& sides = edges.at(key_of(i, k));
+      out[3 * i + k] = sides.count == 2 ? sides.opposite_sum - f[3 * i + k] : -1;
+    }
+  }
+  return opposites;
+}
+
+Tensor antialias(const Tensor& color, const Tensor& rast, const Tensor& clip, const Tensor& faces,
+                 const Tensor& opposites) {
+  TORCH_CHECK(color.dim() == 4, "color must be [N,H,W,C]");
+  check_rast(rast);
+  check_indices(faces, "faces");
+  check_indices(opposites, "opposites");
+  return Antialias::apply(color, rast.detach().contiguous(), clip, faces, opposites);
+}
+
+Tensor texture(const Tensor& texture, const Tensor& uv, const Tensor& uv_derivatives,
+               const Tensor& rast) {
+  TORCH_CHECK(texture.dim() == 3, "texture must be [H,W,C]");
+  TORCH_CHECK(uv.dim() == 4 && uv.size(3) == 2, "uv must be [N,h,w,2]");
+  check_rast(rast);
+  // Autograd wants defined tensors: an empty one stands for "no mipmaps".
+  const Tensor derivatives =
+      uv_derivatives.defined() ? uv_derivatives.contiguous() : at::empty({0}, uv.options());
+  return Texture::apply(texture, uv, derivatives, rast.detach().contiguous());
+}
+
+}  // namespace tt3d

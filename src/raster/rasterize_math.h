@@ -1,0 +1,193 @@
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "tt3d/device.h"
+
+/// Bodies of rasterize: one triangle, one pixel. No tensor library here.
+namespace tt3d::raster {
+
+/// A vertex in clip space, in the type of the computation.
+struct ClipVertex {
+  double x, y, z, w;
+};
+
+template <typename T>
+TT3D_HD ClipVertex load_vertex(const T* clip, int64_t vertex) {
+  const T* p = clip + vertex * 4;
+  return {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2]),
+          static_cast<double>(p[3])};
+}
+
+/// Edge function e(px,py) = a px + b py + c of the directed edge through two clip vertices;
+/// positive to its left. Doubles, because the terms cancel almost completely on small triangles.
+struct EdgeFunction {
+  double a, b, c;
+  TT3D_HD double at(double px, double py) const { return a * px + (b * py + c); }
+  /// Sign at (px,py), never 0 for a real edge: a pixel exactly on the edge counts as if moved by
+  /// (eps, eps^2), so that every point belongs to exactly one side, consistently at vertices too.
+  TT3D_HD int sign_at(double value) const {
+    if (value != 0) return value > 0 ? 1 : -1;
+    if (a != 0) return a > 0 ? 1 : -1;
+    return b > 0 ? 1 : (b < 0 ? -1 : 0);
+  }
+};
+
+/// The edge from vertex `i` to `j`, computed in order of their indices so that both triangles at
+/// the edge see the same bits up to the sign.
+TT3D_HD EdgeFunction edge_function(const ClipVertex& vi, const ClipVertex& vj, int32_t i,
+                                   int32_t j) {
+  const bool swap = i > j;
+  const ClipVertex& p = swap ? vj : vi;
+  const ClipVertex& q = swap ? vi : vj;
+  const double sign = swap ? -1.0 : 1.0;
+  // cross(p - P p.w, q - P q.w) expanded in the pixel P.
+  return {sign * (p.y * q.w - p.w * q.y), sign * (p.w * q.x - p.x * q.w),
+          sign * (p.x * q.y - p.y * q.x)};
+}
+
+/// What a triangle needs to be tested at pixels.
+struct TriangleSetup {
+  EdgeFunction edge[3];  ///< edge k is opposite vertex k
+  double z[3], w[3];
+  int x_begin, x_end, y_begin, y_end;  ///< pixel range that can be covered
+};
+
+/// Coordinate of pixel column c in normalised device coordinates.
+TT3D_HD double pixel_x(int64_t c, int64_t width) {
+  return (2.0 * static_cast<double>(c) + 1.0) / static_cast<double>(width) - 1.0;
+}
+
+/// Coordinate of pixel row r, row 0 at the top (y = +1).
+TT3D_HD double pixel_y(int64_t r, int64_t height) {
+  return 1.0 - (2.0 * static_cast<double>(r) + 1.0) / static_cast<double>(height);
+}
+
+TT3D_HD int clamp_pixel(double value, int64_t limit) {
+  // The comparison form sends NaN to 0.
+  return value > 0 ? (value < static_cast<double>(limit) ? static_cast<int>(value)
+                                                         : static_cast<int>(limit))
+                   : 0;
+}
+
+/// Pixel range of a triangle; the whole picture when a vertex is behind the camera.
+TT3D_HD void set_bounds(const ClipVertex v[3], int64_t height, int64_t width,
+                        TriangleSetup& setup) {
+  setup.x_begin = 0;
+  setup.y_begin = 0;
+  setup.x_end = static_cast<int>(width);
+  setup.y_end = static_cast<int>(height);
+  if (!(v[0].w > 0 && v[1].w > 0 && v[2].w > 0)) return;
+  const double x[3] = {v[0].x / v[0].w, v[1].x / v[1].w, v[2].x / v[2].w};
+  const double y[3] = {v[0].y / v[0].w, v[1].y / v[1].w, v[2].y / v[2].w};
+  const double half_w = 0.5 * static_cast<double>(width);
+  const double half_h = 0.5 * static_cast<double>(height);
+  const double x_low = fmin(x[0], fmin(x[1], x[2])), x_high = fmax(x[0], fmax(x[1], x[2]));
+  const double y_low = fmin(y[0], fmin(y[1], y[2])), y_high = fmax(y[0], fmax(y[1], y[2]));
+  // Pixel c has its centre at c + .5; a margin covers rounding, the edge functions decide.
+  constexpr double kMargin = 1e-6;
+  setup.x_begin = clamp_pixel(ceil((x_low + 1) * half_w - 0.5 - kMargin), width);
+  setup.x_end = clamp_pixel(floor((x_high + 1) * half_w - 0.5 + kMargin) + 1, width);
+  setup.y_begin = clamp_pixel(ceil((1 - y_high) * half_h - 0.5 - kMargin), height);
+  setup.y_end = clamp_pixel(floor((1 - y_low) * half_h - 0.5 + kMargin) + 1, height);
+}
+
+/// Prepares a triangle. False when it cannot cover a pixel (behind the camera, zero area, no
+/// pixel centre within its bounds, not finite).
+template <typename T>
+TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, int64_t width,
+                            TriangleSetup& setup) {
+  const ClipVertex v[3] = {load_vertex(clip, face[0]), load_vertex(clip, face[1]),
+                           load_vertex(clip, face[2])};
+  if (!(v[0].w > 0) && !(v[1].w > 0) && !(v[2].w > 0)) return false;
+  set_bounds(v, height, width, setup);
+  if (setup.x_begin >= setup.x_end || setup.y_begin >= setup.y_end) return false;
+  for (int k = 0; k < 3; ++k) {
+    const int i = (k + 1) % 3;
+    const int j = (k + 2) % 3;
+    setup.edge[k] = edge_function(v[i], v[j], face[i], face[j]);
+    setup.z[k] = v[k].z;
+    setup.w[k] = v[k].w;
+  }
+  return true;
+}
+
+/// A covered pixel.
+struct Hit {
+  double u, v, zw;
+};
+
+/// Whether the triangle covers the pixel at (px,py), and where.
+TT3D_HD bool hit_triangle(const TriangleSetup& t, double px, double py, Hit& hit) {
+  const double e0 = t.edge[0].at(px, py);
+  const double e1 = t.edge[1].at(px, py);
+  const double e2 = t.edge[2].at(px, py);
+  const int s0 = t.edge[0].sign_at(e0);
+  if (s0 == 0 || t.edge[1].sign_at(e1) != s0 || t.edge[2].sign_at(e2) != s0) return false;
+  const double sum = e0 + e1 + e2;
+  if (sum == 0) return false;
+  const double b0 = e0 / sum, b1 = e1 / sum, b2 = e2 / sum;
+  const double w = b0 * t.w[0] + b1 * t.w[1] + b2 * t.w[2];
+  if (!(w > 0)) return false;
+  hit = {b0, b1, (b0 * t.z[0] + b1 * t.z[1] + b2 * t.z[2]) / w};
+  return hit.zw >= -1 && hit.zw <= 1;
+}
+
+/// Backward of one pixel's (u,v): adds to grad[3][4], the gradients of the triangle's vertices.
+/// With p' = p.xy - P p.w and a_k = cross of the other two p', u = a_0/sum a, v = a_1/sum a.
+template <typename T>
+TT3D_HD void rasterize_backward(const T* clip, const int32_t* face, double px, double py,
+                                double grad_u, double grad_v, double grad[3][4]) {
+  double x[3], y[3];
+  for (int k = 0; k < 3; ++k) {
+    const ClipVertex v = load_vertex(clip, face[k]);
+    x[k] = v.x - px * v.w;
+    y[k] = v.y - py * v.w;
+  }
+  double a[3];
+  for (int k = 0; k < 3; ++k) {
+    const int i = (k + 1) % 3, j = (k + 2) % 3;
+    a[k] = x[i] * y[j] - x[j] * y[i];
+  }
+  const double sum = a[0] + a[1] + a[2];
+  if (sum == 0) return;
+  const double mean = (grad_u * a[0] + grad_v * a[1]) / sum;
+  const double grad_a[3] = {(grad_u - mean) / sum, (grad_v - mean) / sum, -mean / sum};
+  for (int k = 0; k < 3; ++k) {
+    const int i = (k + 1) % 3, j = (k + 2) % 3;
+    // Vertex k enters a_j = cross(p_k, p_i) and a_i = cross(p_j, p_k).
+    const double gx = grad_a[j] * y[i] - grad_a[i] * y[j];
+    const double gy = grad_a[i] * x[j] - grad_a[j] * x[i];
+    grad[k][0] += gx;
+    grad[k][1] += gy;
+    grad[k][3] -= px * gx + py * gy;
+  }
+}
+
+/// Derivatives of (u,v) with respect to the pixel's position, per pixel, y down.
+/// out = {du/dx, du/dy, dv/dx, dv/dy}.
+template <typename T>
+TT3D_HD void barycentric_derivatives(const T* clip, const int32_t* face, double px, double py,
+                                     int64_t height, int64_t width, double out[4]) {
+  EdgeFunction e[3];
+  double value[3];
+  for (int k = 0; k < 3; ++k) {
+    const int i = (k + 1) % 3, j = (k + 2) % 3;
+    e[k] = edge_function(load_vertex(clip, face[i]), load_vertex(clip, face[j]), face[i], face[j]);
+    value[k] = e[k].at(px, py);
+  }
+  const double sum = value[0] + value[1] + value[2];
+  const double sum_x = e[0].a + e[1].a + e[2].a;
+  const double sum_y = e[0].b + e[1].b + e[2].b;
+  const double x_step = 2.0 / static_cast<double>(width);
+  const double y_step = -2.0 / static_cast<double>(height);
+  const double inverse = sum != 0 ? 1.0 / sum : 0.0;
+  for (int k = 0; k < 2; ++k) {
+    const double weight = value[k] * inverse;
+    out[2 * k] = (e[k].a - weight * sum_x) * inverse * x_step;
+    out[2 * k + 1] = (e[k].b - weight * sum_y) * inverse * y_step;
+  }
+}
+
+}  // namespace tt3d::raster
