@@ -75,6 +75,7 @@ struct Capture {
   std::vector<View> test;        ///< held out; from the format's test split, else every 8th view
   bool has_masks = false;        ///< alpha tells object from background
   Normalization normalization;   ///< world to the normalised frame of the cameras
+  double object_radius = 1;      ///< bound on the object's distance from the origin, normalised
   std::string format;            ///< "nerf-synthetic", "nerfstudio" or "colmap"
   std::vector<std::string> files;  ///< camera files that were read, absolute, for the run's hash
 };
@@ -110,6 +111,10 @@ struct ViewFrame {
   double distance = 4;        ///< median camera distance of the capture
   double fov_y_deg = 40;      ///< vertical field of view
 };
+
+/// The frame of a capture's views in its normalised frame: centre at the origin, median camera
+/// distance and median vertical field of view. Throws InputError if it has no training views.
+[[nodiscard]] ViewFrame capture_view_frame(const Capture& capture);
 
 /// Names of the view distributions (design, section 9): ring, dome, sphere, paper.
 [[nodiscard]] const std::vector<std::string>& view_distribution_names();

@@ -1,0 +1,151 @@
+#include "colmap.h"
+
+#include <algorithm>
+#include <iterator>
+
+#include "camera.h"
+
+namespace tt3d {
+namespace fs = std::filesystem;
+using namespace linear;
+
+namespace {
+
+constexpr ColmapLens kLenses[] = {{"SIMPLE_PINHOLE", 3},
+                                  {"PINHOLE", 4},
+                                  {"SIMPLE_RADIAL", 4},
+                                  {"RADIAL", 5},
+                                  {"OPENCV", 8},
+                                  {"OPENCV_FISHEYE", 8},
+                                  {"FULL_OPENCV", 12},
+                                  {"FOV", 5},
+                                  {"SIMPLE_RADIAL_FISHEYE", 4},
+                                  {"RADIAL_FISHEYE", 5},
+                                  {"THIN_PRISM_FISHEYE", 12}};
+
+[[noreturn]] void throw_lens_error(const ColmapCamera& camera, const std::string& where) {
+  throw InputError(where + ": lens model " + kLenses[camera.model].name +
+                   " is not supported; run colmap image_undistorter and use its output");
+}
+
+/// Intrinsics and distortion of the lens models that reduce to k1 k2 p1 p2.
+void set_lens(const ColmapCamera& camera, const std::string& where, RawView& view) {
+  const std::string lens = kLenses[camera.model].name;
+  const std::vector<double>& p = camera.parameters;
+  const bool single = lens == "SIMPLE_PINHOLE" || lens == "SIMPLE_RADIAL" || lens == "RADIAL";
+  const bool brown = lens == "OPENCV" || lens == "FULL_OPENCV";
+  if (!single && !brown && lens != "PINHOLE") throw_lens_error(camera, where);
+  const size_t centre = single ? 1 : 2;
+  view.camera.fx = p[0];
+  view.camera.fy = p[centre - 1];
+  view.camera.cx = p[centre];
+  view.camera.cy = p[centre + 1];
+  if (lens == "SIMPLE_RADIAL") view.distortion = {p[3], 0, 0, 0};
+  if (lens == "RADIAL") view.distortion = {p[3], p[4], 0, 0};
+  if (brown) view.distortion = {p[4], p[5], p[6], p[7]};
+  const bool higher = std::any_of(p.begin() + std::min<std::ptrdiff_t>(8, std::ssize(p)), p.end(),
+                                  [](double k) { return k != 0; });
+  if (lens == "FULL_OPENCV" && higher) throw_lens_error(camera, where);
+  for (const double value : p) {
+    if (!std::isfinite(value)) throw InputError(where + ": its camera's parameters are not finite");
+  }
+}
+
+/// Camera to world in OpenGL axes from COLMAP's world to camera (x right, y down, z forward).
+Mat4 opengl_pose(const ColmapImage& image) {
+  const auto& [w, x, y, z] = image.rotation;
+  const double norm = std::sqrt(w * w + x * x + y * y + z * z);
+  if (!std::isfinite(norm) || std::abs(norm - 1) > 1e-2) {
+    throw InputError(image.where + ": the rotation is not a unit quaternion");
+  }
+  const double a = w / norm, b = x / norm, c = y / norm, d = z / norm;
+  // Rows of the rotation are the camera's axes in the world.
+  const Vec3 right = {1 - 2 * (c * c + d * d), 2 * (b * c - a * d), 2 * (b * d + a * c)};
+  const Vec3 down = {2 * (b * c + a * d), 1 - 2 * (b * b + d * d), 2 * (c * d - a * b)};
+  const Vec3 forward = {2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c)};
+  const Vec3& t = image.translation;
+  const Vec3 position = -1.0 * (t[0] * right + t[1] * down + t[2] * forward);
+  return frame(right, -1.0 * down, -1.0 * forward, position);
+}
+
+/// COLMAP's convention is masks/NAME.png with the image's own extension kept.
+fs::path find_mask(const fs::path& folder, const std::string& name) {
+  const fs::path masks = folder / "masks";
+  return first_file(
+      {masks / (name + ".png"), masks / fs::path(name).replace_extension(".png"), masks / name});
+}
+
+RawView make_view(const fs::path& folder, const ColmapModel& model, const ColmapImage& image) {
+  RawView view;
+  view.where = image.where;
+  view.image = path_inside(folder / "images", image.name, image.where);
+  view.name = "images/" + image.name;
+  if (!fs::is_regular_file(view.image)) {
+    throw InputError(view.image, "no such image, named by " + image.where);
+  }
+  view.mask = find_mask(folder, image.name);
+  const auto camera = model.cameras.find(image.camera);
+  if (camera == model.cameras.end()) {
+    throw InputError(image.where + ": camera " + std::to_string(image.camera) + " is not defined");
+  }
+  const ColmapCamera& lens = camera->second;
+  if (lens.width <= 0 || lens.height <= 0 || std::max(lens.width, lens.height) > 1000000) {
+    throw InputError(image.where + ": its camera's image size is out of range");
+  }
+  view.camera.width = static_cast<int>(lens.width);
+  view.camera.height = static_cast<int>(lens.height);
+  set_lens(lens, image.where, view);
+  view.camera.camera_to_world = opengl_pose(image);
+  check_pose(view.camera.camera_to_world, image.where);
+  return view;
+}
+
+}  // namespace
+
+const ColmapLens* colmap_lens(int model) {
+  return model >= 0 && model < std::ssize(kLenses) ? &kLenses[model] : nullptr;
+}
+
+int colmap_lens_number(const std::string& name) {
+  const auto* found = std::find_if(std::begin(kLenses), std::end(kLenses),
+                                   [&](const ColmapLens& lens) { return name == lens.name; });
+  return found == std::end(kLenses) ? -1 : static_cast<int>(found - std::begin(kLenses));
+}
+
+fs::path find_colmap_model(const fs::path& folder) {
+  for (const char* place : {"sparse/0", "sparse", "colmap/sparse/0", "."}) {
+    for (const char* file : {"cameras.bin", "cameras.txt"}) {
+      if (fs::exists(folder / place / file)) return folder / place;
+    }
+  }
+  return {};
+}
+
+RawCapture read_colmap(const fs::path& folder) {
+  const fs::path model_folder = find_colmap_model(folder);
+  if (model_folder.empty()) {
+    throw InputError(folder, "holds no COLMAP model; expected sparse/0/cameras.bin or .txt");
+  }
+  const bool binary = fs::exists(model_folder / "cameras.bin");
+  ColmapModel model = binary ? read_colmap_binary(model_folder) : read_colmap_text(model_folder);
+  if (model.images.empty()) {
+    throw InputError(model_folder / (binary ? "images.bin" : "images.txt"),
+                     "holds no images; expected at least one registered view");
+  }
+  std::sort(model.images.begin(), model.images.end(),
+            [](const ColmapImage& a, const ColmapImage& b) { return a.name < b.name; });
+  RawCapture capture;
+  capture.format = "colmap";
+  for (const ColmapImage& image : model.images) {
+    capture.train.push_back(make_view(folder, model, image));
+  }
+  capture.points = std::move(model.points);
+  for (const char* part : {"cameras", "images"}) {
+    const fs::path file = model_folder / (std::string(part) + (binary ? ".bin" : ".txt"));
+    capture.files.push_back(fs::absolute(file).lexically_normal().string());
+  }
+  split_off_test(capture);
+  return capture;
+}
+
+}  // namespace tt3d

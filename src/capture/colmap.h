@@ -1,0 +1,47 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include "raw_view.h"
+
+/// The parts of a COLMAP sparse model that a capture needs, whichever encoding they came from
+/// (https://colmap.github.io/format.html).
+namespace tt3d {
+
+struct ColmapCamera {
+  int model = 0;  ///< COLMAP's model number, see colmap_model_name
+  int64_t width = 0, height = 0;
+  std::vector<double> parameters;
+};
+
+struct ColmapImage {
+  std::array<double, 4> rotation{};  ///< world to camera, quaternion w x y z
+  linear::Vec3 translation{};        ///< world to camera
+  int64_t camera = 0;
+  std::string name;   ///< relative to the images folder
+  std::string where;  ///< file and record, for messages
+};
+
+struct ColmapModel {
+  std::map<int64_t, ColmapCamera> cameras;
+  std::vector<ColmapImage> images;
+  std::vector<linear::Vec3> points;
+};
+
+/// A lens model: its name in text files and its number of parameters.
+struct ColmapLens {
+  const char* name;
+  size_t parameters;
+};
+
+/// Lens model by COLMAP's number; nullptr if there is none.
+[[nodiscard]] const ColmapLens* colmap_lens(int model);
+/// Number of the model of that name, or -1.
+[[nodiscard]] int colmap_lens_number(const std::string& name);
+
+[[nodiscard]] ColmapModel read_colmap_binary(const std::filesystem::path& folder);
+[[nodiscard]] ColmapModel read_colmap_text(const std::filesystem::path& folder);
+
+}  // namespace tt3d

@@ -1,0 +1,112 @@
+#include <sstream>
+
+#include "colmap.h"
+
+namespace tt3d {
+namespace fs = std::filesystem;
+
+namespace {
+
+/// Hands out the lines of a text file that are not comments, with their numbers.
+class LineReader {
+ public:
+  explicit LineReader(const fs::path& path) : path_(path), stream_(read_file(path)) {}
+
+  bool next() {
+    while (std::getline(stream_, line_)) {
+      ++number_;
+      if (!line_.empty() && line_.back() == '\r') line_.pop_back();
+      if (!line_.starts_with('#')) return true;
+    }
+    return false;
+  }
+  [[nodiscard]] bool blank() const { return line_.find_first_not_of(" \t") == std::string::npos; }
+  [[nodiscard]] std::istringstream words() const { return std::istringstream(line_); }
+  [[nodiscard]] std::string where() const { return path_.string() + ":" + std::to_string(number_); }
+  [[noreturn]] void fail(const std::string& expected) const {
+    throw InputError(path_, number_, "expected " + expected);
+  }
+
+ private:
+  fs::path path_;
+  std::istringstream stream_;
+  std::string line_;
+  long number_ = 0;
+};
+
+/// Reads a number as strtod does: "nan" is a number here and is refused by the pose check.
+bool take_number(std::istringstream& words, double& value) {
+  std::string word;
+  if (!(words >> word)) return false;
+  char* end = nullptr;
+  value = std::strtod(word.c_str(), &end);
+  return end == word.c_str() + word.size();
+}
+
+void read_cameras(const fs::path& path, ColmapModel& model) {
+  LineReader reader(path);
+  while (reader.next()) {
+    if (reader.blank()) continue;
+    std::istringstream words = reader.words();
+    int64_t id = 0;
+    std::string lens_name;
+    ColmapCamera camera;
+    if (!(words >> id >> lens_name >> camera.width >> camera.height)) {
+      reader.fail("CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]");
+    }
+    camera.model = colmap_lens_number(lens_name);
+    if (camera.model < 0) reader.fail("a COLMAP lens model, found '" + lens_name + "'");
+    camera.parameters.resize(colmap_lens(camera.model)->parameters);
+    for (double& p : camera.parameters) {
+      if (!take_number(words, p)) {
+        reader.fail(std::to_string(camera.parameters.size()) + " parameters for " + lens_name);
+      }
+    }
+    model.cameras[id] = std::move(camera);
+  }
+}
+
+/// Every image has two lines; the second, of its points, may be blank and is not needed.
+void read_images(const fs::path& path, ColmapModel& model) {
+  LineReader reader(path);
+  while (reader.next()) {
+    if (reader.blank()) continue;
+    std::istringstream words = reader.words();
+    ColmapImage image;
+    image.where = reader.where();
+    int64_t id = 0;
+    bool good = static_cast<bool>(words >> id);
+    for (double& q : image.rotation) good = good && take_number(words, q);
+    for (double& t : image.translation) good = good && take_number(words, t);
+    good = good && words >> image.camera && std::getline(words >> std::ws, image.name);
+    if (!good) reader.fail("IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
+    model.images.push_back(std::move(image));
+    reader.next();
+  }
+}
+
+void read_points(const fs::path& path, ColmapModel& model) {
+  LineReader reader(path);
+  while (reader.next()) {
+    if (reader.blank()) continue;
+    std::istringstream words = reader.words();
+    int64_t id = 0;
+    linear::Vec3 point;
+    bool good = static_cast<bool>(words >> id);
+    for (double& p : point) good = good && take_number(words, p);
+    if (!good) reader.fail("POINT3D_ID X Y Z R G B ERROR TRACK[]");
+    model.points.push_back(point);
+  }
+}
+
+}  // namespace
+
+ColmapModel read_colmap_text(const fs::path& folder) {
+  ColmapModel model;
+  read_cameras(folder / "cameras.txt", model);
+  read_images(folder / "images.txt", model);
+  if (fs::exists(folder / "points3D.txt")) read_points(folder / "points3D.txt", model);
+  return model;
+}
+
+}  // namespace tt3d
