@@ -1,0 +1,1 @@
+// Owns the precompiled ATen header that every target with torch shares.
