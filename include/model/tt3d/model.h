@@ -17,13 +17,13 @@ namespace tt3d {
 /// The card of a model package (design, section 9 "Model package").
 struct ModelCard {
   std::string name, architecture, source, licence;
-  int64_t height = 0, width = 0;      ///< input size in pixels
-  int64_t resize = 0;                 ///< shorter side before the centre crop
-  std::string interpolation;          ///< "bilinear" or "bicubic"
-  std::vector<double> mean, std;      ///< per RGB channel, of values in [0,1]
-  std::vector<std::string> labels;    ///< one name a class, in order of the logits
-  std::vector<std::string> wnids;     ///< WordNet ids when the labels are imagenet-1k, else empty
-  std::string sha256;                 ///< of the .pt2
+  int64_t height = 0, width = 0;    ///< input size in pixels
+  int64_t resize = 0;               ///< shorter side before the centre crop
+  std::string interpolation;        ///< "bilinear" or "bicubic"
+  std::vector<double> mean, std;    ///< per RGB channel, of values in [0,1]
+  std::vector<std::string> labels;  ///< one name a class, in order of the logits
+  std::vector<std::string> wnids;   ///< WordNet ids when the labels are imagenet-1k, else empty
+  std::string sha256;               ///< of the .pt2
 };
 
 /// Limits on what a package may contain.
@@ -35,6 +35,22 @@ struct ModelLimits {
   int json_depth = 128;
 };
 
+/// How a graph is run. The defaults are the fast way; the probe of the card is checked with them,
+/// and a model whose probe only holds without them is run without.
+struct ModelOptions {
+  bool fold_batch_norm = true;  ///< fold batch normalisation into the convolution before it
+  bool channels_last = true;    ///< run convolutions channels-last where the graph allows it
+  bool check_probe = true;      ///< compare with the card's probe on load
+};
+
+/// What the probe of the card found.
+struct ProbeReport {
+  bool present = false;        ///< the card has a probe and it was checked
+  double logit_error = 0;      ///< largest difference over the range of the expected logits
+  double gradient_cosine = 1;  ///< smallest cosine of the input gradient, over the cases
+  double gradient_ratio = 1;   ///< norm over expected norm, the case furthest from 1
+};
+
 /// An image classifier whose weights cannot change. Safe to call from one thread at a time.
 class Classifier {
  public:
@@ -42,16 +58,37 @@ class Classifier {
   /// Throws InputError for anything wrong with archive, card or probe. `warn` receives warnings
   /// (a card without a probe).
   static std::shared_ptr<Classifier> load(const std::string& model, const ModelLimits& limits = {},
-                                          Progress* warn = nullptr);
+                                          Progress* warn = nullptr,
+                                          const ModelOptions& options = {});
   virtual ~Classifier() = default;
 
   [[nodiscard]] virtual const ModelCard& card() const = 0;
   /// images [N,3,H,W] float32, RGB sRGB in [0,1], of the card's input size; returns logits
   /// [N,classes]. Normalises by the card; differentiable with respect to the images.
   [[nodiscard]] virtual at::Tensor logits(const at::Tensor& images) const = 0;
-  /// SHA-256 over all parameters and buffers: the same before and after any use.
+  /// SHA-256 over all parameters and buffers as they are used (after folding): the same before
+  /// and after any use.
   [[nodiscard]] virtual std::string weights_hash() const = 0;
+  /// How well the model agreed with its card's probe on load.
+  [[nodiscard]] virtual const ProbeReport& probe() const = 0;
+  /// The archive this was read from.
+  [[nodiscard]] virtual const std::filesystem::path& path() const = 0;
 };
+
+/// Folders that model names are looked up in, in order: ./models, those of $TT3D_MODELS
+/// (separated by ':'), and the source tree's models/ if it exists.
+[[nodiscard]] std::vector<std::filesystem::path> model_folders();
+
+/// A package found by name.
+struct ModelEntry {
+  std::string name;            ///< file name without .pt2
+  std::filesystem::path path;  ///< of the .pt2
+};
+/// All packages of model_folders(), by name; the first folder wins.
+[[nodiscard]] std::vector<ModelEntry> list_models();
+
+/// Path of the archive for a path or a name. Throws InputError that says where it looked.
+[[nodiscard]] std::filesystem::path find_model(const std::string& model);
 
 /// The picture a classifier sees of an image, as its users would make it: resize the shorter side
 /// to the card's `resize` (antialiased, as Pillow does it), then centre crop to the input size.
@@ -61,7 +98,7 @@ class Classifier {
 /// A class of a model, found by index ("849"), WordNet id ("n04398044") or name ("teapot").
 struct ClassId {
   int64_t index = -1;
-  std::string wnid;   ///< empty when the model has no WordNet ids
+  std::string wnid;  ///< empty when the model has no WordNet ids
   std::string name;
 };
 

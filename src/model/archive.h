@@ -1,0 +1,51 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "tt3d/model.h"
+
+struct zip;
+
+namespace tt3d::model {
+
+/// A zip file as torch.export writes it: one root folder, plain files. Opening it checks every
+/// entry (names, duplicates, links, sizes) before any is read. All functions throw Malformed.
+class Archive {
+ public:
+  Archive(const std::filesystem::path& path, const ModelLimits& limits);
+
+  /// True if the root folder holds a file of this relative name.
+  [[nodiscard]] bool has(const std::string& name) const { return entries_.count(name) != 0; }
+  /// Uncompressed size in bytes of a file that must be there.
+  [[nodiscard]] int64_t size(const std::string& name) const;
+  /// Reads a whole file into `target`, which has size(name) bytes; checks its CRC.
+  void read(const std::string& name, void* target) const;
+  /// Reads a text file.
+  [[nodiscard]] std::string text(const std::string& name) const;
+  /// Reads a JSON file of limited depth; values under keys "metadata" are dropped.
+  [[nodiscard]] nlohmann::json json(const std::string& name) const;
+  /// The relative name of the only model graph, without folder and ".json".
+  [[nodiscard]] std::string model_name() const;
+
+ private:
+  struct Entry {
+    uint64_t index = 0;
+    int64_t size = 0;
+  };
+  void list_entries();
+  void add_entry(uint64_t index);
+  void strip_root();
+  void check_format() const;
+
+  std::unique_ptr<zip, void (*)(zip*)> zip_;
+  std::map<std::string, Entry> entries_;
+  ModelLimits limits_;
+  int64_t total_bytes_ = 0;
+};
+
+}  // namespace tt3d::model

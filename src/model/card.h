@@ -1,0 +1,43 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "tt3d/model.h"
+
+namespace tt3d::model {
+
+/// What a model answered to `batch` probe images when it was exported.
+struct ProbeCase {
+  int64_t batch = 0;
+  std::vector<std::vector<double>> logits;  ///< [batch][classes]
+  std::vector<int64_t> classes;             ///< whose logits the gradient is of, one an image
+  double gradient_norm = 0;
+  std::vector<double> gradient;  ///< at probe_positions()
+};
+
+/// The probe of a card: rule "waves-1" (docs/model.md), computed by probe_images().
+struct Probe {
+  uint64_t seed = 0;
+  std::vector<ProbeCase> cases;  ///< empty: the card has no probe
+};
+
+/// A card as the reader needs it.
+struct CardFile {
+  ModelCard card;
+  Probe probe;
+};
+
+/// Reads and validates NAME.json; throws InputError naming the key that is missing or wrong.
+[[nodiscard]] CardFile read_card(const std::filesystem::path& path, const ModelLimits& limits);
+
+/// One ImageNet class: WordNet id and names.
+struct ImagenetClass {
+  std::string wnid;
+  std::vector<std::string> names;
+};
+/// The 1000 classes of ImageNet-1k in order of the logits.
+[[nodiscard]] const std::vector<ImagenetClass>& imagenet_classes();
+
+}  // namespace tt3d::model

@@ -1,0 +1,16 @@
+#pragma once
+
+#include "archive.h"
+#include "graph.h"
+
+namespace tt3d::model {
+
+/// Reads the graph and its weights from an archive and checks that it is a classifier of images:
+/// one float32 input [N,3,H,W], one float32 output [N,classes], allowed operators only, every
+/// value defined once and before its use, no weight written to. Throws Malformed.
+[[nodiscard]] Graph read_graph(const Archive& archive, const ModelLimits& limits);
+
+/// Fills Step::release: the values that nothing uses after a step.
+void find_last_uses(Graph& graph);
+
+}  // namespace tt3d::model

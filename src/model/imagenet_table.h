@@ -1,0 +1,8 @@
+#pragma once
+
+namespace tt3d::model {
+
+/// data/imagenet1k.tsv: a line a class, "index TAB WordNet id TAB names separated by ', '".
+extern const char* const kImagenetTable;
+
+}  // namespace tt3d::model

@@ -1,0 +1,128 @@
+#include "probe.h"
+
+#include <ATen/ATen.h>
+#include <torch/csrc/autograd/autograd.h>
+#include <torch/csrc/autograd/variable.h>
+
+#include <cmath>
+#include <numbers>
+
+namespace tt3d::model {
+namespace {
+
+/// Rounding of float32 convolutions in another order stays a hundred times below these.
+constexpr double kMaxLogitError = 1e-3;
+constexpr double kMinCosine = 0.999;
+constexpr double kMaxNormError = 1e-2;
+
+/// The finaliser of MurmurHash3 over index and seed.
+uint32_t mix(uint64_t index, uint64_t seed) {
+  auto h = static_cast<uint32_t>(index + seed * 0x9E3779B9U);
+  h ^= h >> 16;
+  h *= 0x85EBCA6BU;
+  h ^= h >> 13;
+  h *= 0xC2B2AE35U;
+  return h ^ (h >> 16);
+}
+
+struct Difference {
+  double logit_error = 0, cosine = 1, ratio = 1;
+};
+
+double logit_error(const at::Tensor& logits, const ProbeCase& expected) {
+  const at::Tensor actual = logits.detach().to(at::kDouble).contiguous();
+  const double* value = actual.const_data_ptr<double>();
+  double low = INFINITY, high = -INFINITY, worst = 0;
+  for (const auto& row : expected.logits) {
+    for (const double want : row) {
+      low = std::min(low, want);
+      high = std::max(high, want);
+      const double difference = std::abs(*value++ - want);
+      // NaN counts as infinitely wrong.
+      worst = difference >= 0 ? std::max(worst, difference) : INFINITY;
+    }
+  }
+  return worst / std::max(high - low, 1e-30);
+}
+
+void compare_gradient(const at::Tensor& gradient, const ProbeCase& expected, uint64_t seed,
+                      Difference& result) {
+  const at::Tensor flat = gradient.detach().to(at::kDouble).contiguous().reshape(-1);
+  const double* value = flat.const_data_ptr<double>();
+  const auto where = probe_positions(flat.numel(), expected.gradient.size(), seed);
+  double dot = 0, own = 0, other = 0;
+  for (size_t i = 0; i < where.size(); ++i) {
+    const double have = value[where[i]], want = expected.gradient[i];
+    dot += have * want;
+    own += have * have;
+    other += want * want;
+  }
+  result.cosine = own + other == 0 ? 1 : dot / std::max(std::sqrt(own * other), 1e-300);
+  const double norm = flat.norm().item<double>();
+  result.ratio = norm == expected.gradient_norm ? 1 : norm / expected.gradient_norm;
+}
+
+Difference run_case(const ProbeCase& expected, const CardFile& file,
+                    const std::function<at::Tensor(const at::Tensor&)>& logits) {
+  const at::AutoGradMode with_gradients(true);
+  const ModelCard& card = file.card;
+  at::Tensor images = probe_images(expected.batch, card.height, card.width, file.probe.seed);
+  images.requires_grad_(true);
+  const at::Tensor answer = logits(images);
+  const at::Tensor classes = at::tensor(expected.classes, at::kLong).unsqueeze(1);
+  const auto gradient = torch::autograd::grad({answer.gather(1, classes).sum()}, {images});
+  Difference result;
+  result.logit_error = logit_error(answer, expected);
+  compare_gradient(gradient[0], expected, file.probe.seed, result);
+  return result;
+}
+
+}  // namespace
+
+at::Tensor probe_images(int64_t batch, int64_t height, int64_t width, uint64_t seed) {
+  at::Tensor images = at::empty({batch, 3, height, width}, at::kFloat);
+  auto* out = images.data_ptr<float>();
+  uint64_t index = 0;
+  for (int64_t n = 0; n < batch; ++n) {
+    for (int64_t c = 0; c < 3; ++c) {
+      for (int64_t y = 0; y < height; ++y) {
+        for (int64_t x = 0; x < width; ++x, ++index) {
+          const double across = static_cast<double>((2 + c + n) * x) / static_cast<double>(width);
+          const double down = static_cast<double>((3 - c + n) * y) / static_cast<double>(height);
+          const double phase = 2 * std::numbers::pi * (across + down) + static_cast<double>(n + c);
+          const double noise = static_cast<double>(mix(index, seed)) / 4294967296.0 - 0.5;
+          out[index] = static_cast<float>(0.5 + 0.3 * std::sin(phase) + 0.3 * noise);
+        }
+      }
+    }
+  }
+  return images;
+}
+
+std::vector<int64_t> probe_positions(int64_t total, size_t count, uint64_t seed) {
+  std::vector<int64_t> positions;
+  for (size_t i = 0; i < count; ++i) positions.push_back(mix(i, seed + 1) % total);
+  return positions;
+}
+
+ProbeReport run_probe(const CardFile& file,
+                      const std::function<at::Tensor(const at::Tensor&)>& logits) {
+  ProbeReport report;
+  for (const ProbeCase& expected : file.probe.cases) {
+    const Difference one = run_case(expected, file, logits);
+    report.present = true;
+    report.logit_error = std::max(report.logit_error, one.logit_error);
+    report.gradient_cosine = std::min(report.gradient_cosine, one.cosine);
+    if (std::abs(one.ratio - 1) > std::abs(report.gradient_ratio - 1)) {
+      report.gradient_ratio = one.ratio;
+    }
+  }
+  return report;
+}
+
+bool probe_holds(const ProbeReport& report) {
+  return report.logit_error <= kMaxLogitError && report.gradient_cosine >= kMinCosine &&
+         std::abs(report.gradient_ratio - 1) <= kMaxNormError;
+}
+
+}  // namespace tt3d::model

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <functional>
+#include <vector>
+
+#include "card.h"
+
+namespace tt3d::model {
+
+/// The images of rule "waves-1" [batch,3,height,width], float32 in [0,1]; the same numbers as
+/// python/tt3d_tools/probe.py computes.
+[[nodiscard]] at::Tensor probe_images(int64_t batch, int64_t height, int64_t width, uint64_t seed);
+
+/// Flat positions in a gradient of `total` elements that the card holds.
+[[nodiscard]] std::vector<int64_t> probe_positions(int64_t total, size_t count, uint64_t seed);
+
+/// Runs `logits` (images in [0,1] to logits) on the probe and compares.
+[[nodiscard]] ProbeReport run_probe(const CardFile& file,
+                                    const std::function<at::Tensor(const at::Tensor&)>& logits);
+
+/// True if the differences are those of rounding, not of another model.
+[[nodiscard]] bool probe_holds(const ProbeReport& report);
+
+}  // namespace tt3d::model

@@ -1,0 +1,227 @@
+#include "rewrite.h"
+
+#include <algorithm>
+#include <unordered_map>
+#include <unordered_set>
+
+#include "operators.h"
+
+namespace tt3d::model {
+namespace {
+
+constexpr double kDefaultEpsilon = 1e-5;
+
+/// Number of reads of every slot; the graph's output counts as one.
+std::vector<int> count_reads(const Graph& graph) {
+  std::vector<int> reads(graph.names.size(), 0);
+  for (const Step& step : graph.steps) {
+    for_each_read(step, [&](Slot slot) { ++reads[static_cast<size_t>(slot)]; });
+  }
+  ++reads[static_cast<size_t>(graph.output)];
+  return reads;
+}
+
+/// Position of an argument in the schema of a step, -1 if it has none of that name.
+int argument_index(const Step& step, const char* name) {
+  const auto& arguments = step.op->schema().arguments();
+  for (size_t i = 0; i < arguments.size(); ++i) {
+    if (arguments[i].name() == name) return static_cast<int>(i);
+  }
+  return -1;
+}
+
+const Input& argument(const Step& step, const char* name) {
+  return step.inputs.at(static_cast<size_t>(argument_index(step, name)));
+}
+
+/// The weight bound to an argument; undefined if the argument is None or not a weight.
+at::Tensor weight_of(const Graph& graph, const Input& input) {
+  if (input.kind != Input::Kind::kSlot) return {};
+  const auto found = graph.constants.find(input.slot);
+  return found == graph.constants.end() ? at::Tensor() : found->second;
+}
+
+bool is_none(const Input& input) {
+  return input.kind == Input::Kind::kConstant && input.constant.isNone();
+}
+
+bool is_conv(const Step& step) {
+  return step.target == "aten::conv1d" || step.target == "aten::conv2d" ||
+         step.target == "aten::conv3d";
+}
+
+bool is_batch_norm(const Step& step) {
+  return step.target == "aten::batch_norm" ||
+         step.target == "aten::_native_batch_norm_legit_no_training";
+}
+
+/// Scale and shift per channel that a batch normalisation in evaluation mode applies, float64;
+/// undefined where a statistic is not a float weight of one dimension.
+struct Affine {
+  at::Tensor scale, shift;
+};
+
+Affine affine_of(const Graph& graph, const Step& norm) {
+  const at::Tensor mean = weight_of(graph, argument(norm, "running_mean"));
+  const at::Tensor variance = weight_of(graph, argument(norm, "running_var"));
+  const Input& gamma_input = argument(norm, "weight");
+  const Input& beta_input = argument(norm, "bias");
+  const at::Tensor gamma = weight_of(graph, gamma_input), beta = weight_of(graph, beta_input);
+  const bool known = mean.defined() && variance.defined() &&
+                     (gamma.defined() || is_none(gamma_input)) &&
+                     (beta.defined() || is_none(beta_input));
+  const Input& eps = argument(norm, "eps");
+  if (!known || eps.kind != Input::Kind::kConstant || mean.dim() != 1) return {};
+  for (const at::Tensor& tensor : {mean, variance, gamma, beta}) {
+    if (tensor.defined() && !tensor.sizes().equals(mean.sizes())) return {};
+  }
+  const double epsilon = eps.constant.isDouble() ? eps.constant.toDouble() : kDefaultEpsilon;
+  at::Tensor scale = (variance.to(at::kDouble) + epsilon).rsqrt();
+  if (gamma.defined()) scale = scale * gamma.to(at::kDouble);
+  at::Tensor shift = -mean.to(at::kDouble) * scale;
+  if (beta.defined()) shift = shift + beta.to(at::kDouble);
+  return {scale, shift};
+}
+
+Slot add_constant(Graph& graph, const std::string& name, const at::Tensor& tensor) {
+  const auto slot = static_cast<Slot>(graph.names.size());
+  graph.names.push_back(name);
+  graph.constants.emplace(slot, tensor);
+  return slot;
+}
+
+Input slot_input(Slot slot) {
+  Input input;
+  input.kind = Input::Kind::kSlot;
+  input.slot = slot;
+  return input;
+}
+
+/// Puts scale and shift into the convolution; false if its weight does not fit. The weight is let
+/// go at once where nothing else reads it, so that folding needs no second copy of the model.
+bool fold_into(Graph& graph, Step& conv, const Affine& affine, const std::vector<int>& reads) {
+  const auto weight_index = static_cast<size_t>(argument_index(conv, "weight"));
+  const auto bias_index = static_cast<size_t>(argument_index(conv, "bias"));
+  const at::Tensor weight = weight_of(graph, conv.inputs[weight_index]);
+  const at::Tensor bias = weight_of(graph, conv.inputs[bias_index]);
+  const bool known_bias = bias.defined() || is_none(conv.inputs[bias_index]);
+  if (!weight.defined() || !known_bias || weight.scalar_type() != at::kFloat || weight.dim() < 3 ||
+      weight.size(0) != affine.scale.size(0)) {
+    return false;
+  }
+  std::vector<int64_t> shape(static_cast<size_t>(weight.dim()), 1);
+  shape[0] = -1;
+  const at::Tensor folded = weight.to(at::kDouble) * affine.scale.reshape(shape);
+  at::Tensor shift = affine.shift;
+  if (bias.defined()) shift = shift + bias.to(at::kDouble) * affine.scale;
+  const std::string& name = conv.name;
+  const Slot old = conv.inputs[weight_index].slot;
+  if (reads[static_cast<size_t>(old)] == 1) graph.constants.erase(old);
+  conv.inputs[weight_index] =
+      slot_input(add_constant(graph, name + ".folded_weight", folded.to(at::kFloat)));
+  conv.inputs[bias_index] =
+      slot_input(add_constant(graph, name + ".folded_bias", shift.to(at::kFloat)));
+  return true;
+}
+
+/// Makes every reader of slot `from` read `to` instead.
+void redirect(Graph& graph, const std::unordered_map<Slot, Slot>& moved) {
+  const auto resolve = [&](Slot& slot) {
+    const auto found = moved.find(slot);
+    if (found != moved.end()) slot = found->second;
+  };
+  const auto visit = [&](Input& input, const auto& self) -> void {
+    if (input.kind == Input::Kind::kSlot) resolve(input.slot);
+    for (Input& item : input.items) self(item, self);
+  };
+  for (Step& step : graph.steps) {
+    for (Input& input : step.inputs) visit(input, visit);
+  }
+  resolve(graph.output);
+}
+
+void drop_unused_constants(Graph& graph) {
+  const std::vector<int> reads = count_reads(graph);
+  std::erase_if(graph.constants,
+                [&](const auto& item) { return reads[static_cast<size_t>(item.first)] == 0; });
+}
+
+bool writes(const Step& step) {
+  const auto& arguments = step.op->schema().arguments();
+  return std::any_of(arguments.begin(), arguments.end(), [](const c10::Argument& argument) {
+    return argument.alias_info() != nullptr && argument.alias_info()->isWrite();
+  });
+}
+
+bool returns_view(const Step& step) {
+  const auto& arguments = step.op->schema().arguments();
+  return !writes(step) && std::any_of(arguments.begin(), arguments.end(), [](const auto& argument) {
+    return argument.alias_info() != nullptr;
+  });
+}
+
+/// True if some step writes into the memory of another value through a view.
+bool writes_through_views(const Graph& graph) {
+  std::unordered_set<Slot> views;
+  for (const Step& step : graph.steps) {
+    if (!step.op) continue;
+    if (returns_view(step)) {
+      for (const Output& output : step.outputs)
+        views.insert(output.slots.begin(), output.slots.end());
+    }
+    bool through = false;
+    for_each_read(step.inputs[0], [&](Slot slot) { through |= views.count(slot) != 0; });
+    if (through && writes(step)) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
+int fold_batch_norms(Graph& graph) {
+  const std::vector<int> reads = count_reads(graph);
+  std::unordered_map<Slot, size_t> producer;
+  std::unordered_map<Slot, Slot> moved;
+  std::unordered_set<size_t> folded;
+  for (size_t i = 0; i < graph.steps.size(); ++i) {
+    Step& step = graph.steps[i];
+    if (!step.op) continue;
+    if (is_conv(step)) producer[step.outputs[0].slots[0]] = i;
+    if (!is_batch_norm(step) || argument(step, "input").kind != Input::Kind::kSlot) continue;
+    const Slot before = argument(step, "input").slot;
+    const auto conv = producer.find(before);
+    if (conv == producer.end() || reads[static_cast<size_t>(before)] != 1) continue;
+    const Affine affine = affine_of(graph, step);
+    if (!affine.scale.defined() || !fold_into(graph, graph.steps[conv->second], affine, reads)) {
+      continue;
+    }
+    moved[step.outputs[0].slots[0]] = before;
+    folded.insert(i);
+  }
+  redirect(graph, moved);
+  size_t index = 0;
+  std::erase_if(graph.steps, [&](const Step&) { return folded.count(index++) != 0; });
+  drop_unused_constants(graph);
+  return static_cast<int>(folded.size());
+}
+
+bool use_channels_last(Graph& graph) {
+  const auto is_conv2d = [](const Step& step) { return step.target == "aten::conv2d"; };
+  if (std::none_of(graph.steps.begin(), graph.steps.end(), is_conv2d)) return false;
+  if (writes_through_views(graph)) return false;
+  for (Step& step : graph.steps) {
+    if (step.target == "aten::view" && step.op->schema().overload_name().empty()) {
+      step.op = find_operator("torch.ops.aten.reshape.default");
+      step.target = "aten::reshape";
+    }
+    if (!is_conv2d(step)) continue;
+    const Input& weight = argument(step, "weight");
+    if (weight.kind != Input::Kind::kSlot) continue;
+    const auto found = graph.constants.find(weight.slot);
+    if (found == graph.constants.end() || found->second.dim() != 4) continue;
+    found->second = found->second.contiguous(at::MemoryFormat::ChannelsLast);
+  }
+  return true;
+}
+
+}  // namespace tt3d::model

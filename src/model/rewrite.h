@@ -1,0 +1,16 @@
+#pragma once
+
+#include "graph.h"
+
+namespace tt3d::model {
+
+/// Folds a batch normalisation that directly follows a convolution, and is the only user of its
+/// result, into the convolution's weight and bias (computed in float64). Returns how many.
+int fold_batch_norms(Graph& graph);
+
+/// Stores convolution weights channels-last and turns `view` into `reshape`, which holds for any
+/// memory layout. Does nothing and returns false where the graph depends on the layout of its
+/// intermediate results (writes through views) or has no 2D convolutions.
+bool use_channels_last(Graph& graph);
+
+}  // namespace tt3d::model
