@@ -1,0 +1,271 @@
+#include <ATen/ATen.h>
+#include <torch/csrc/autograd/custom_function.h>
+
+#include <cmath>
+
+#include "composite_math.h"
+#include "field_cpu.h"
+#include "march_math.h"
+#include "tt3d/field.h"
+
+// The only file of the room's kernels with torch: checks, allocation, autograd.
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+using torch::autograd::AutogradContext;
+using torch::autograd::Function;
+using torch::autograd::variable_list;
+
+std::vector<field::HashLevel> levels_of(const HashGridShape& shape) {
+  std::vector<field::HashLevel> levels;
+  const double growth =
+      shape.levels > 1 ? std::log(static_cast<double>(shape.finest) / static_cast<double>(shape.base)) /
+                             static_cast<double>(shape.levels - 1)
+                       : 0.0;
+  int64_t offset = 0;
+  for (int64_t l = 0; l < shape.levels; ++l) {
+    const double scale = static_cast<double>(shape.base) * std::exp(growth * static_cast<double>(l));
+    const auto resolution = static_cast<int64_t>(std::ceil(scale)) + 2;
+    const int64_t points = resolution * resolution * resolution;
+    const int64_t limit = int64_t{1} << shape.log2_size;
+    const bool dense = points <= limit;
+    const int64_t size = dense ? points : limit;
+    levels.push_back({static_cast<float>(scale), static_cast<uint32_t>(resolution),
+                      static_cast<uint32_t>(size), dense, offset});
+    offset += size;
+  }
+  return levels;
+}
+
+struct HashEncode : public Function<HashEncode> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& x_in, const Tensor& table,
+                        const HashGridShape& shape) {
+    const Tensor x = x_in.contiguous();
+    Tensor out = at::empty({shape.levels * shape.features, x.size(0)}, table.options());
+    const auto levels = levels_of(shape);
+    AT_DISPATCH_FLOATING_TYPES(table.scalar_type(), "hash_encode", [&] {
+      field::hash_encode_cpu(x.const_data_ptr<scalar_t>(), table.const_data_ptr<scalar_t>(),
+                             out.mutable_data_ptr<scalar_t>(), x.size(0), levels, shape.features);
+    });
+    ctx->save_for_backward({x, table});
+    ctx->saved_data["shape"] = std::vector<int64_t>{shape.levels, shape.base, shape.finest,
+                                                    shape.log2_size, shape.features};
+    return out;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
+    const variable_list saved = ctx->get_saved_variables();
+    const Tensor &x = saved[0], &table = saved[1];
+    const auto s = ctx->saved_data["shape"].toIntVector();
+    const HashGridShape shape{s[0], s[1], s[2], s[3], s[4]};
+    const auto levels = levels_of(shape);
+    const Tensor grad = grads[0].contiguous();
+    Tensor grad_x, grad_table;
+    AT_DISPATCH_FLOATING_TYPES(table.scalar_type(), "hash_encode_backward", [&] {
+      if (ctx->needs_input_grad(1)) {
+        grad_table = at::zeros_like(table);
+        field::hash_encode_backward_cpu(x.const_data_ptr<scalar_t>(),
+                                        grad.const_data_ptr<scalar_t>(),
+                                        grad_table.mutable_data_ptr<scalar_t>(), x.size(0), levels,
+                                        shape.features);
+      }
+      if (ctx->needs_input_grad(0)) {
+        grad_x = at::empty_like(x);
+        field::hash_encode_backward_points_cpu(
+            x.const_data_ptr<scalar_t>(), table.const_data_ptr<scalar_t>(),
+            grad.const_data_ptr<scalar_t>(), grad_x.mutable_data_ptr<scalar_t>(), x.size(0),
+            levels, shape.features);
+      }
+    });
+    return {grad_x, grad_table, Tensor()};
+  }
+};
+
+template <typename T>
+std::vector<field::Layer<T>> layers_of(const variable_list& weights) {
+  std::vector<field::Layer<T>> layers;
+  for (const Tensor& w : weights) layers.push_back({w.const_data_ptr<T>(), w.size(1), w.size(0)});
+  return layers;
+}
+
+struct Mlp : public Function<Mlp> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& x_in, at::TensorList weights_in) {
+    const Tensor x = x_in.contiguous();
+    variable_list weights;
+    for (const Tensor& w : weights_in) weights.push_back(w.contiguous());
+    Tensor out = at::empty({weights.back().size(0), x.size(1)}, x.options());
+    AT_DISPATCH_FLOATING_TYPES(x.scalar_type(), "mlp", [&] {
+      field::mlp_cpu(x.const_data_ptr<scalar_t>(), layers_of<scalar_t>(weights),
+                     out.mutable_data_ptr<scalar_t>(), x.size(1));
+    });
+    variable_list saved = {x};
+    saved.insert(saved.end(), weights.begin(), weights.end());
+    ctx->save_for_backward(saved);
+    return out;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
+    const variable_list saved = ctx->get_saved_variables();
+    const Tensor& x = saved[0];
+    const variable_list weights(saved.begin() + 1, saved.end());
+    const Tensor grad = grads[0].contiguous();
+    Tensor grad_x;
+    if (ctx->needs_input_grad(0)) grad_x = at::empty_like(x);
+    variable_list results = {grad_x};
+    for (const Tensor& w : weights) results.push_back(at::empty_like(w));
+    AT_DISPATCH_FLOATING_TYPES(x.scalar_type(), "mlp_backward", [&] {
+      std::vector<scalar_t*> grad_weights;
+      for (size_t k = 1; k < results.size(); ++k) {
+        grad_weights.push_back(results[k].mutable_data_ptr<scalar_t>());
+      }
+      field::mlp_backward_cpu(x.const_data_ptr<scalar_t>(), layers_of<scalar_t>(weights),
+                              grad.const_data_ptr<scalar_t>(),
+                              grad_x.defined() ? grad_x.mutable_data_ptr<scalar_t>() : nullptr,
+                              grad_weights, x.size(1));
+    });
+    return results;
+  }
+};
+
+struct Composite : public Function<Composite> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& densities_in, const Tensor& colors_in,
+                        const Tensor& steps, const Tensor& ray_begin) {
+    const Tensor densities = densities_in.contiguous(), colors = colors_in.contiguous();
+    const int64_t rays = ray_begin.size(0) - 1;
+    Tensor out = at::empty({rays, 4}, densities.options());
+    AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "composite", [&] {
+      field::composite_cpu(densities.const_data_ptr<scalar_t>(),
+                           colors.const_data_ptr<scalar_t>(), steps.const_data_ptr<scalar_t>(),
+                           ray_begin.const_data_ptr<int64_t>(), out.mutable_data_ptr<scalar_t>(),
+                           rays, densities.size(0));
+    });
+    ctx->save_for_backward({densities, colors, steps, ray_begin});
+    return out;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
+    const variable_list saved = ctx->get_saved_variables();
+    const Tensor grad = grads[0].contiguous();
+    Tensor grad_densities = at::zeros_like(saved[0]);
+    Tensor grad_colors = at::zeros_like(saved[1]);
+    AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "composite_backward", [&] {
+      field::composite_backward_cpu(
+          saved[0].const_data_ptr<scalar_t>(), saved[1].const_data_ptr<scalar_t>(),
+          saved[2].const_data_ptr<scalar_t>(), saved[3].const_data_ptr<int64_t>(),
+          grad.const_data_ptr<scalar_t>(), grad_densities.mutable_data_ptr<scalar_t>(),
+          grad_colors.mutable_data_ptr<scalar_t>(), grad.size(0), saved[0].size(0));
+    });
+    return {grad_densities, grad_colors, Tensor(), Tensor()};
+  }
+};
+
+/// Turns counts into offsets in place: [R+1] with element 0 = 0.
+void prefix_sum(const Tensor& counts) {
+  auto* p = counts.mutable_data_ptr<int64_t>();
+  for (int64_t i = 1; i < counts.size(0); ++i) p[i] += p[i - 1];
+}
+
+}  // namespace
+
+int64_t HashGridShape::entries() const {
+  const auto levels_list = levels_of(*this);
+  return levels_list.back().offset + levels_list.back().size;
+}
+
+Tensor hash_encode(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
+  TORCH_CHECK(x.dim() == 2 && x.size(1) == 3, "x must be [P,3]");
+  TORCH_CHECK(shape.features == 1 || shape.features == 2, "features must be 1 or 2");
+  TORCH_CHECK(table.is_contiguous() && table.size(0) == shape.entries() &&
+                  table.size(1) == shape.features,
+              "table must be dense [entries, features]");
+  return HashEncode::apply(x, table, shape);
+}
+
+Tensor mlp(const Tensor& x, const std::vector<Tensor>& weights) {
+  TORCH_CHECK(!weights.empty() && x.dim() == 2 && x.size(0) == weights[0].size(1),
+              "x must be [I,P] with I the first layer's inputs");
+  return Mlp::apply(x, at::TensorList(weights));
+}
+
+Tensor composite(const Tensor& densities, const Tensor& colors, const Tensor& steps,
+                 const Tensor& ray_begin) {
+  TORCH_CHECK(colors.dim() == 2 && colors.size(0) == 3 && colors.size(1) == densities.size(0),
+              "colors must be [3,S]");
+  return Composite::apply(densities, colors, steps.contiguous(), ray_begin);
+}
+
+RaySamples march_rays(const Tensor& origins, const Tensor& directions, const Tensor& occupied,
+                      const Tensor& jitter, double step, double near_distance) {
+  const int64_t rays = origins.size(0);
+  const auto* o = origins.const_data_ptr<float>();
+  const auto* d = directions.const_data_ptr<float>();
+  const auto* j = jitter.const_data_ptr<float>();
+  const field::MarchGrid grid = {occupied.const_data_ptr<uint8_t>(), occupied.size(0),
+                                 static_cast<float>(step), static_cast<float>(near_distance)};
+  Tensor begin = at::zeros({rays + 1}, at::kLong);
+  auto* b = begin.mutable_data_ptr<int64_t>();
+  for_each_index(rays, [&](int64_t r) {
+    int64_t count = 0;
+    field::march_ray(o + 3 * r, d + 3 * r, j[r], grid, [&](const float*) { ++count; });
+    b[r + 1] = count;
+  });
+  prefix_sum(begin);
+  const int64_t total = b[rays];
+  Tensor points = at::empty({total, 3});
+  auto* p = points.mutable_data_ptr<float>();
+  for_each_index(rays, [&](int64_t r) {
+    float* next = p + 3 * b[r];
+    field::march_ray(o + 3 * r, d + 3 * r, j[r], grid, [&](const float* point) {
+      for (int k = 0; k < 3; ++k) *next++ = point[k];
+    });
+  });
+  return {points, at::full({total}, step, at::kFloat), begin};
+}
+
+std::pair<Tensor, Tensor> visible_samples(const Tensor& densities, const Tensor& steps,
+                                          const Tensor& ray_begin, double threshold) {
+  const int64_t rays = ray_begin.size(0) - 1;
+  const auto* sigma = densities.const_data_ptr<float>();
+  const auto* step = steps.const_data_ptr<float>();
+  const auto* b = ray_begin.const_data_ptr<int64_t>();
+  const double optical_limit = -std::log(threshold);
+  Tensor begin = at::zeros({rays + 1}, at::kLong);
+  auto* nb = begin.mutable_data_ptr<int64_t>();
+  for_each_index(rays, [&](int64_t r) {
+    double depth = 0;
+    int64_t i = b[r];
+    while (i < b[r + 1] && depth < optical_limit) {
+      depth += static_cast<double>(sigma[i] * step[i]);
+      ++i;
+    }
+    nb[r + 1] = i - b[r];
+  });
+  prefix_sum(begin);
+  Tensor kept = at::empty({nb[rays]}, at::kLong);
+  auto* k = kept.mutable_data_ptr<int64_t>();
+  for_each_index(rays, [&](int64_t r) {
+    for (int64_t i = 0; i < nb[r + 1] - nb[r]; ++i) k[nb[r] + i] = b[r] + i;
+  });
+  return {kept, begin};
+}
+
+void Adam::step(const Tensor& parameter, const Tensor& gradient, const Tensor& moment1,
+                const Tensor& moment2, double rate, int64_t iteration) const {
+  const auto t = static_cast<double>(iteration);
+  const auto correction =
+      static_cast<float>(rate * std::sqrt(1 - std::pow(beta2, t)) / (1 - std::pow(beta1, t)));
+  const auto b1 = static_cast<float>(beta1), b2 = static_cast<float>(beta2);
+  const auto eps = static_cast<float>(epsilon * std::sqrt(1 - std::pow(beta2, t)));
+  auto* p = parameter.mutable_data_ptr<float>();
+  const auto* g = gradient.const_data_ptr<float>();
+  auto* m = moment1.mutable_data_ptr<float>();
+  auto* v = moment2.mutable_data_ptr<float>();
+  at::parallel_for(0, parameter.numel(), 16384, [&](int64_t first, int64_t last) {
+    for (int64_t i = first; i < last; ++i) {
+      if (g[i] == 0.0F) continue;
+      m[i] = b1 * m[i] + (1 - b1) * g[i];
+      v[i] = b2 * v[i] + (1 - b2) * g[i] * g[i];
+      p[i] -= correction * m[i] / (std::sqrt(v[i]) + eps);
+    }
+  });
+}
+
+}  // namespace tt3d

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <vector>
+
+#include "tt3d/field.h"
+
+namespace tt3d::field {
+
+/// Rays through pixels: origins and unit directions [R,3], and the pixels' targets [R,4]
+/// (premultiplied colour and alpha) when asked for.
+struct Rays {
+  at::Tensor origins, directions, targets;
+};
+
+/// The ray through the point (column, row) of the image plane, in pixels.
+void pixel_ray(const Camera& camera, double column, double row, float origin[3],
+               float direction[3]);
+
+/// Draws `count` random pixels over all views, keyed by (seed, step).
+Rays random_rays(const std::vector<View>& views, const std::vector<at::Tensor>& targets,
+                 int64_t count, uint64_t seed, int64_t step);
+
+/// All pixels of rows [row_begin,row_end) of a camera.
+Rays row_rays(const Camera& camera, int64_t row_begin, int64_t row_end);
+
+/// Colour and alpha of rays: [R,4], premultiplied. With gradient when grad mode is on.
+/// `specular_loss`, when given, receives the mean square of the specular part.
+at::Tensor render_rays(const RadianceField& f, const Rays& rays, const at::Tensor& jitter,
+                       double step, bool with_specular, at::Tensor* specular_loss,
+                       int64_t* sample_count);
+
+/// Cells of the occupancy grid that are inside every view's silhouette (where visible at all):
+/// the visual hull, dilated by a cell. A cell that no camera sees is empty.
+/// Returns [G,G,G] uint8 over (z,y,x).
+at::Tensor visual_hull(const std::vector<View>& views, int64_t size);
+
+/// Refreshes the occupancy: density at a jittered point of every hull cell, max(0.95 old, new),
+/// occupied above min(mean, 10) (Mueller et al. 2022, appendix E.2).
+struct OccupancyGrid {
+  at::Tensor hull;     ///< [G,G,G] uint8
+  at::Tensor density;  ///< [G,G,G] float
+  void refresh(RadianceField& f, uint64_t seed, int64_t step);
+};
+
+}  // namespace tt3d::field
