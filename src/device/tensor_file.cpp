@@ -2,6 +2,7 @@
 
 #include <ATen/ATen.h>
 
+#include <algorithm>
 #include <cstring>
 #include <fstream>
 #include <nlohmann/json.hpp>
@@ -23,6 +24,7 @@ constexpr Dtype kDtypes[] = {{"F32", at::kFloat},
                              {"I64", at::kLong},
                              {"U8", at::kByte}};
 constexpr uint64_t kMaxHeader = uint64_t{64} << 20;
+constexpr uint64_t kMaxElements = uint64_t{1} << 40;
 
 std::string dtype_name(at::ScalarType type) {
   for (const Dtype& d : kDtypes) {
@@ -45,11 +47,13 @@ at::Tensor read_entry(const std::string& name, const json& entry, std::string_vi
   const auto shape = entry.at("shape").get<std::vector<int64_t>>();
   const auto offsets = entry.at("data_offsets").get<std::vector<uint64_t>>();
   uint64_t bytes = at::elementSize(dtype);
+  uint64_t extent = 1;  // the product without zeros: strides are made of it
   for (const int64_t n : shape) {
-    if (n < 0 || (n > 0 && bytes > data.size() / static_cast<uint64_t>(n))) {
+    if (n < 0 || static_cast<uint64_t>(n) > kMaxElements / extent || (n > 0 && bytes > data.size() / static_cast<uint64_t>(n))) {
       throw InputError(path, "tensor '" + name + "' is larger than the file");
     }
     bytes *= static_cast<uint64_t>(n);
+    extent *= std::max<uint64_t>(1, static_cast<uint64_t>(n));
   }
   if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > data.size() ||
       offsets[1] - offsets[0] != bytes) {

@@ -39,6 +39,9 @@ TEST(TensorFile, MalformedFilesAreInputErrors) {
       with_header(R"({"a":{"dtype":"F32","shape":[-1],"data_offsets":[0,4]}})", "1234"),
       with_header(R"({"a":{"dtype":"F32","shape":[4611686018427387904,4],"data_offsets":[0,4]}})",
                   "1234"),
+      with_header(R"({"a":{"dtype":"F32","shape":[0,4611686018427387904,4611686018427387904],)"
+                  R"("data_offsets":[0,0]}})",
+                  ""),
       with_header(R"({"a":{"dtype":"BOOL","shape":[1],"data_offsets":[0,1]}})", "1"),
       with_header(R"({"a":{"shape":[1]}})", "1"),
       std::string("\xff\xff\xff\xff\xff\xff\xff\xff", 8) + "{}",
@@ -46,6 +49,16 @@ TEST(TensorFile, MalformedFilesAreInputErrors) {
   for (const std::string& bytes : bad) {
     write_file_atomic(folder / "bad.safetensors", bytes);
     EXPECT_THROW((void)load_tensors(folder / "bad.safetensors"), InputError) << bytes;
+  }
+}
+
+TEST(TensorFile, EveryTruncationIsAnInputError) {
+  testing::TemporaryFolder folder;
+  save_tensors(folder / "x", {{"a", at::arange(6, at::kFloat)}, {"b", at::ones({3})}}, {});
+  const std::string bytes = read_file(folder / "x");
+  for (size_t size = 0; size < bytes.size(); size += 3) {
+    write_file_atomic(folder / "cut", bytes.substr(0, size));
+    EXPECT_THROW((void)load_tensors(folder / "cut"), InputError) << size;
   }
 }
 
