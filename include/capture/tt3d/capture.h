@@ -64,28 +64,29 @@ struct Normalization {
 
 /// One photograph and its camera (in the normalised frame).
 struct View {
-  std::string name;   ///< path of the image relative to the capture, for messages
+  std::string name;  ///< path of the image relative to the capture, for messages
   Camera camera;
-  at::Tensor rgba;    ///< [H,W,4] uint8, sRGB, straight alpha (mask), undistorted
+  at::Tensor rgba;  ///< [H,W,4] uint8, sRGB, straight alpha (mask), undistorted
 };
 
 /// All photographs of one object.
 struct Capture {
   std::vector<View> train;
-  std::vector<View> test;        ///< held out; from the format's test split, else every 8th view
-  bool has_masks = false;        ///< alpha tells object from background
-  Normalization normalization;   ///< world to the normalised frame of the cameras
-  double object_radius = 1;      ///< bound on the object's distance from the origin, normalised
-  std::string format;            ///< "nerf-synthetic", "nerfstudio" or "colmap"
+  std::vector<View> test;          ///< held out; from the format's test split, else every 8th view
+  bool has_masks = false;          ///< alpha tells object from background
+  Normalization normalization;     ///< world to the normalised frame of the cameras
+  double object_radius = 1;        ///< bound on the object's distance from the origin, normalised
+  std::string format;              ///< "nerf-synthetic", "nerfstudio" or "colmap"
   std::vector<std::string> files;  ///< camera files that were read, absolute, for the run's hash
 };
 
 struct CaptureOptions {
   std::filesystem::path path;
-  std::string format = "auto";   ///< auto, nerf-synthetic, nerfstudio, colmap
-  int max_size = 0;              ///< images are area-averaged so that the longer side is at most this; 0: as they are
-  int max_train_views = 0;       ///< evenly spaced subset; 0: all
-  int max_test_views = 0;        ///< evenly spaced subset; 0: all
+  std::string format = "auto";  ///< auto, nerf-synthetic, nerfstudio, colmap
+  int max_size =
+      0;  ///< images are area-averaged so that the longer side is at most this; 0: as they are
+  int max_train_views = 0;  ///< evenly spaced subset; 0: all
+  int max_test_views = 0;   ///< evenly spaced subset; 0: all
 };
 
 /// Reads a capture. Throws InputError naming file and problem: missing, empty, corrupt images;
@@ -100,16 +101,16 @@ struct SampledView {
   Camera camera;
   double azimuth_deg = 0;
   double elevation_deg = 0;
-  double distance = 0;   ///< from the look-at point, world units
+  double distance = 0;  ///< from the look-at point, world units
   double roll_deg = 0;
 };
 
 /// What a view distribution is scaled by: the object's centre and typical camera distance.
 struct ViewFrame {
   std::array<double, 3> centre{0, 0, 0};
-  double radius = 1;          ///< radius of the object's bounding sphere
-  double distance = 4;        ///< median camera distance of the capture
-  double fov_y_deg = 40;      ///< vertical field of view
+  double radius = 1;      ///< radius of the object's bounding sphere
+  double distance = 4;    ///< median camera distance of the capture
+  double fov_y_deg = 40;  ///< vertical field of view
 };
 
 /// The frame of a capture's views in its normalised frame: centre at the origin, median camera
