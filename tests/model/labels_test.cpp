@@ -1,0 +1,62 @@
+#include <gtest/gtest.h>
+
+#include "model/card.h"
+#include "tt3d/model.h"
+
+namespace tt3d {
+namespace {
+
+ModelCard imagenet_card() {
+  ModelCard card;
+  card.name = "net";
+  for (const auto& one : model::imagenet_classes()) {
+    card.labels.push_back(one.names.front());
+    card.wnids.push_back(one.wnid);
+  }
+  return card;
+}
+
+std::string error_of(const std::string& text) {
+  try {
+    (void)find_class(text, imagenet_card());
+  } catch (const InputError& error) {
+    return error.what();
+  }
+  return "";
+}
+
+TEST(Labels, TableHasAThousandClasses) {
+  ASSERT_EQ(model::imagenet_classes().size(), 1000U);
+  EXPECT_EQ(model::imagenet_classes()[0].wnid, "n01440764");
+  EXPECT_EQ(model::imagenet_classes()[2].names.size(), 5U);
+  EXPECT_EQ(model::imagenet_classes()[999].names.front(), "toilet tissue");
+}
+
+TEST(Labels, ByIndexWordNetIdAndName) {
+  const ModelCard card = imagenet_card();
+  for (const std::string text : {"849", "n04398044", "teapot", "Teapot"}) {
+    const ClassId id = find_class(text, card);
+    EXPECT_EQ(id.index, 849) << text;
+    EXPECT_EQ(id.wnid, "n04398044");
+    EXPECT_EQ(id.name, "teapot");
+  }
+  EXPECT_EQ(find_class("man-eater", card).index, 2) << "a synonym";
+  EXPECT_EQ(find_class("tench, Tinca tinca", card).index, 0) << "the whole entry";
+}
+
+TEST(Labels, AmbiguousNameListsCandidates) {
+  const std::string text = error_of("crane");
+  EXPECT_NE(text.find("ambiguous"), std::string::npos) << text;
+  EXPECT_NE(text.find("134 n02012849"), std::string::npos) << text;
+  EXPECT_NE(text.find("517 n03126707"), std::string::npos) << text;
+}
+
+TEST(Labels, UnknownNamesSuggestNearOnes) {
+  EXPECT_NE(error_of("teapott").find("'teapot'"), std::string::npos);
+  EXPECT_NE(error_of("1000").find("0 to 999"), std::string::npos);
+  EXPECT_NE(error_of("n99999999").find("WordNet"), std::string::npos);
+  EXPECT_NE(error_of("").find("no such class"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace tt3d
