@@ -163,6 +163,23 @@ void prefix_sum(const Tensor& counts) {
   for (int64_t i = 1; i < counts.size(0); ++i) p[i] += p[i - 1];
 }
 
+/// Whether any cell of each 8x8x8 block is occupied: lets rays skip empty space in large strides.
+std::vector<uint8_t> coarse_occupancy(const Tensor& occupied) {
+  const int64_t size = occupied.size(0), coarse = size / field::kCoarse;
+  TORCH_CHECK(size % field::kCoarse == 0 && occupied.is_contiguous(),
+              "occupied must be dense [G,G,G] with G a multiple of 8");
+  const auto* cells = occupied.const_data_ptr<uint8_t>();
+  std::vector<uint8_t> out(static_cast<size_t>(coarse * coarse * coarse), 0);
+  for (int64_t z = 0; z < size; ++z) {
+    for (int64_t y = 0; y < size; ++y) {
+      const uint8_t* row = cells + (z * size + y) * size;
+      uint8_t* target = out.data() + (z / field::kCoarse * coarse + y / field::kCoarse) * coarse;
+      for (int64_t x = 0; x < size; ++x) target[x / field::kCoarse] |= row[x];
+    }
+  }
+  return out;
+}
+
 }  // namespace
 
 int64_t HashGridShape::entries() const {
@@ -198,8 +215,10 @@ RaySamples march_rays(const Tensor& origins, const Tensor& directions, const Ten
   const auto* o = origins.const_data_ptr<float>();
   const auto* d = directions.const_data_ptr<float>();
   const auto* j = jitter.const_data_ptr<float>();
-  const field::MarchGrid grid = {occupied.const_data_ptr<uint8_t>(), occupied.size(0),
-                                 static_cast<float>(step), static_cast<float>(near_distance)};
+  const std::vector<uint8_t> coarse = coarse_occupancy(occupied);
+  const field::MarchGrid grid = {occupied.const_data_ptr<uint8_t>(), coarse.data(),
+                                 occupied.size(0), static_cast<float>(step),
+                                 static_cast<float>(near_distance)};
   Tensor begin = at::zeros({rays + 1}, at::kLong);
   auto* b = begin.mutable_data_ptr<int64_t>();
   for_each_index(rays, [&](int64_t r) {

@@ -23,7 +23,7 @@ struct TrainingState {
   std::vector<Tensor> moment1, moment2, average;
   field::OccupancyGrid occupancy;
   int64_t step = 0;
-  int64_t rays = 4096;
+  int64_t rays = 1024;
   double rate_scale = 1;
   int rollbacks = 0;
 };
@@ -126,10 +126,10 @@ struct StepResult {
 };
 
 /// Draws rays, renders, differentiates. Gradients are left in `grads`.
-StepResult compute_gradients(const Capture& capture, const std::vector<Tensor>& targets,
+StepResult compute_gradients(const Capture& capture, const field::PixelPool& pool,
                              const FieldOptions& options, uint64_t seed, const TrainingState& s,
                              std::vector<Tensor>& grads) {
-  const field::Rays rays = field::random_rays(capture.train, targets, s.rays, seed, s.step);
+  const field::Rays rays = field::random_rays(capture.train, pool, s.rays, seed, s.step);
   Tensor noise = at::empty({s.rays, 4});
   auto* p = noise.mutable_data_ptr<float>();
   Random random(seed, "field/background", static_cast<uint64_t>(s.step));
@@ -224,8 +224,7 @@ RadianceField fit_field(const Capture& capture, const FieldOptions& options, uin
     throw InputError(
         "the capture has no masks: give the photographs an alpha channel, or mask_path entries");
   }
-  std::vector<Tensor> targets;
-  for (const View& view : capture.train) targets.push_back(premultiplied(view).contiguous());
+  const field::PixelPool pool = field::make_pixel_pool(capture.train, options.shape.occupancy);
   TrainingState s = fresh_state(capture, options, seed);
   if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
   progress.begin("field", options.steps, s.step);
@@ -233,7 +232,7 @@ RadianceField fit_field(const Capture& capture, const FieldOptions& options, uin
   while (s.step < options.steps) {
     if (s.step % kOccupancyEvery == 0 && s.step > 0) s.occupancy.refresh(s.field, seed, s.step);
     std::vector<Tensor> grads;
-    const StepResult result = compute_gradients(capture, targets, options, seed, s, grads);
+    const StepResult result = compute_gradients(capture, pool, options, seed, s, grads);
     if (!std::isfinite(result.loss)) {
       roll_back(checkpoint, capture, options, seed, s, progress);
       continue;

@@ -8,8 +8,12 @@
 /// Body of ray marching: one ray through the occupancy grid over [-1,1]^3.
 namespace tt3d::field {
 
+/// Cells a side of a coarse cell.
+inline constexpr int64_t kCoarse = 8;
+
 struct MarchGrid {
   const uint8_t* occupied;   ///< [G,G,G] over (z,y,x)
+  const uint8_t* coarse;     ///< [G/8,G/8,G/8]: whether any of 8x8x8 cells is occupied
   int64_t size;
   float step, near_distance;
 };
@@ -58,15 +62,21 @@ TT3D_HD void march_ray(const float o[3], const float d[3], float jitter, const M
     if (t >= end) return;
     const float p[3] = {o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]};
     int64_t cell[3];
-    for (int k = 0; k < 3; ++k) cell[k] = cell_coordinate(p[k], grid.size);
-    if (grid.occupied[(cell[2] * grid.size + cell[1]) * grid.size + cell[0]]) {
-      visit(p);
-      ++i;
+    const int64_t coarse_size = grid.size / kCoarse;
+    for (int k = 0; k < 3; ++k) cell[k] = cell_coordinate(p[k], coarse_size);
+    float skip = 0;
+    if (!grid.coarse[(cell[2] * coarse_size + cell[1]) * coarse_size + cell[0]]) {
+      skip = cell_exit(p, d, cell, coarse_size);
     } else {
-      const float skip = cell_exit(p, d, cell, grid.size);
-      const auto steps = static_cast<int64_t>(std::ceil(skip / grid.step));
-      i += steps > 1 ? steps : 1;
+      for (int k = 0; k < 3; ++k) cell[k] = cell_coordinate(p[k], grid.size);
+      if (grid.occupied[(cell[2] * grid.size + cell[1]) * grid.size + cell[0]]) {
+        visit(p);
+      } else {
+        skip = cell_exit(p, d, cell, grid.size);
+      }
     }
+    const auto steps = static_cast<int64_t>(std::ceil(skip / grid.step));
+    i += steps > 1 ? steps : 1;
   }
 }
 

@@ -1,0 +1,51 @@
+#include <ATen/ATen.h>
+
+#include <cmath>
+
+#include "tt3d/mesh.h"
+#include "tt3d/raster.h"
+
+namespace tt3d {
+
+using at::Tensor;
+
+RenderMesh::RenderMesh(const Tensor& mesh_faces)
+    : faces(mesh_faces.contiguous()), opposites(edge_opposites(faces)) {}
+
+Tensor clip_matrices(const std::vector<Camera>& cameras, double extent) {
+  Tensor matrices = at::empty({static_cast<int64_t>(cameras.size()), 4, 4});
+  auto* out = matrices.mutable_data_ptr<float>();
+  for (const Camera& camera : cameras) {
+    const auto p = camera.position();
+    const double distance = std::hypot(p[0], p[1], p[2]);
+    const double near = std::max(0.01, distance - extent), far = distance + extent;
+    for (const double x : world_to_clip(camera, near, far)) *out++ = static_cast<float>(x);
+  }
+  return matrices;
+}
+
+Tensor to_clip(const Tensor& vertices, const Tensor& matrices) {
+  const Tensor homogeneous = at::cat({vertices, at::ones({vertices.size(0), 1})}, 1);
+  return at::matmul(homogeneous, matrices.transpose(1, 2));
+}
+
+Tensor render_mesh(const Tensor& vertices, const Tensor& rest, const RenderMesh& mesh,
+                   const std::vector<Camera>& cameras, const SurfaceShader& shader,
+                   Tensor* rast_out) {
+  const auto views = static_cast<int64_t>(cameras.size());
+  const int64_t height = cameras[0].height, width = cameras[0].width;
+  const Tensor clip = to_clip(vertices, clip_matrices(cameras));
+  const Tensor rast = rasterize(clip, mesh.faces, height, width);
+  if (rast_out) *rast_out = rast.detach();
+  // Shade covered pixels only.
+  const Tensor covered = (rast.detach().select(3, 3) > 0).flatten().nonzero().flatten();
+  const Tensor positions = interpolate(rest, rast, mesh.faces).view({-1, 3});
+  const Tensor colors = shader(positions.index_select(0, covered)).t();
+  const Tensor shaded = at::cat({colors, at::ones({covered.size(0), 1})}, 1);
+  const Tensor picture = at::zeros({views * height * width, 4})
+                             .index_copy(0, covered, shaded)
+                             .view({views, height, width, 4});
+  return antialias(picture, rast, clip, mesh.faces, mesh.opposites);
+}
+
+}  // namespace tt3d

@@ -1,0 +1,192 @@
+#include "tt3d/mesh.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "support/gradient_check.h"
+#include "support/shapes.h"
+#include "support/temporary_folder.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+/// Coordinates of the grid points over [-1,1]^3: x, y, z, each [G,G,G].
+std::array<Tensor, 3> grid(int64_t size) {
+  const Tensor line = at::linspace(-1, 1, size);
+  return {line.view({1, 1, size}).expand({size, size, size}),
+          line.view({1, size, 1}).expand({size, size, size}),
+          line.view({size, 1, 1}).expand({size, size, size})};
+}
+
+Tensor ball(int64_t size, double radius, double cx = 0) {
+  const auto [x, y, z] = grid(size);
+  return (radius - ((x - cx).square() + y.square() + z.square()).sqrt()).contiguous();
+}
+
+TriMesh as_mesh(const testing::Shape& s) { return {s.vertices, s.faces}; }
+
+TEST(MarchingCubes, BallHasItsVolumeAndGenus) {
+  const TriMesh mesh = marching_cubes(ball(64, 0.7));
+  const MeshFacts facts = inspect(mesh);
+  EXPECT_TRUE(facts.closed());
+  EXPECT_EQ(facts.euler, 2);
+  EXPECT_EQ(facts.components, 1);
+  EXPECT_NEAR(facts.volume, 4.0 / 3 * std::numbers::pi * 0.343, 0.01);
+}
+
+TEST(MarchingCubes, TorusHasGenusOne) {
+  const auto [x, y, z] = grid(80);
+  const Tensor ring = (x.square() + y.square()).sqrt() - 0.6;
+  const MeshFacts facts =
+      inspect(marching_cubes((0.2 - (ring.square() + z.square()).sqrt()).contiguous()));
+  EXPECT_TRUE(facts.closed());
+  EXPECT_EQ(facts.euler, 0);
+  EXPECT_NEAR(facts.volume, 2 * std::numbers::pi * std::numbers::pi * 0.6 * 0.04, 0.02);
+}
+
+TEST(MarchingCubes, NoiseIsClosedAndManifold) {
+  // Every configuration of corners occurs, ambiguous ones included.
+  for (const uint64_t seed : {1, 2, 3}) {
+    const Tensor values = testing::uniform({20, 20, 20}, -1, 1, seed).to(at::kFloat);
+    const MeshFacts facts = inspect(marching_cubes(values));
+    EXPECT_EQ(facts.boundary_edges, 0);
+    EXPECT_EQ(facts.non_manifold_edges, 0);
+    EXPECT_GT(facts.volume, 0);
+  }
+}
+
+TEST(MarchingCubes, SolidAtTheBorderIsClosedThere) {
+  const MeshFacts facts = inspect(marching_cubes(at::ones({4, 4, 4})));
+  EXPECT_TRUE(facts.closed());
+  EXPECT_EQ(facts.euler, 2);
+}
+
+TEST(MarchingCubes, NothingInsideNothingOut) {
+  EXPECT_EQ(marching_cubes(-at::ones({4, 4, 4})).faces.size(0), 0);
+}
+
+TEST(FillCavities, HollowBallBecomesSolid) {
+  Tensor shell = at::minimum(ball(40, 0.8), -ball(40, 0.5)).contiguous();
+  EXPECT_EQ(inspect(marching_cubes(shell)).components, 2);
+  fill_cavities(shell);
+  const MeshFacts facts = inspect(marching_cubes(shell));
+  EXPECT_EQ(facts.components, 1);
+  EXPECT_NEAR(facts.volume, 4.0 / 3 * std::numbers::pi * 0.512, 0.05);
+}
+
+TEST(Components, SmallOnesGo) {
+  const Tensor two = at::maximum(ball(64, 0.5, -0.4), ball(64, 0.06, 0.7)).contiguous();
+  const TriMesh mesh = marching_cubes(two);
+  EXPECT_EQ(inspect(mesh).components, 2);
+  EXPECT_EQ(inspect(drop_small_components(mesh, 0.1)).components, 1);
+  EXPECT_EQ(inspect(drop_small_components(mesh, 0.01)).components, 2);
+}
+
+TEST(Repair, DuplicatesNullAndBackToBackFacesGo) {
+  const testing::Shape s = testing::sphere(1);
+  const Tensor extra = at::tensor({0, 0, 1, 0, 2, 4, 3, 1, 5, 1, 3, 5}, at::kInt).view({4, 3});
+  const TriMesh dirty = {s.vertices, at::cat({s.faces, s.faces.narrow(0, 0, 2), extra})};
+  const MeshFacts facts = inspect(repair(dirty));
+  EXPECT_EQ(facts.faces, s.faces.size(0) + 1);   // the single extra face 0,2,4 remains
+  EXPECT_EQ(inspect(repair({s.vertices, at::cat({s.faces, s.faces})})).faces, s.faces.size(0));
+}
+
+TEST(Repair, TwoTetrahedraAtAnEdgeComeApart) {
+  // Closed, but the shared edge 0-1 has four faces.
+  const std::vector<std::array<float, 3>> v = {{0, 0, 0}, {0, 0, 1}, {1, 0, 0},
+                                               {1, 1, 0}, {-1, 0, 0}, {-1, -1, 0}};
+  const auto tetrahedron = [](int32_t a, int32_t b, int32_t c, int32_t d) {
+    return std::vector<std::array<int32_t, 3>>{{a, b, c}, {a, d, b}, {b, d, c}, {a, c, d}};
+  };
+  auto f = tetrahedron(0, 1, 2, 3);
+  const auto g = tetrahedron(0, 1, 4, 5);
+  f.insert(f.end(), g.begin(), g.end());
+  const TriMesh mesh = as_mesh(testing::make_shape(v, f));
+  EXPECT_EQ(inspect(mesh).non_manifold_edges, 1);
+  const MeshFacts facts = inspect(repair(mesh));
+  EXPECT_TRUE(facts.closed()) << facts.boundary_edges << " " << facts.non_manifold_edges;
+  EXPECT_EQ(facts.faces, 8);
+}
+
+TEST(Simplify, SphereStaysClosedNearItsVolume) {
+  const TriMesh mesh = as_mesh(testing::sphere(5));
+  const TriMesh small = simplify(mesh, 1000);
+  const MeshFacts facts = inspect(small);
+  EXPECT_LE(facts.faces, 1100);
+  EXPECT_TRUE(facts.closed());
+  EXPECT_NEAR(facts.volume, 4.18879, 0.06);
+}
+
+TEST(Subdivide, SelectionSplitsAndTheMeshStaysClosed) {
+  const TriMesh mesh = as_mesh(testing::sphere(3));
+  Tensor selected = at::zeros({mesh.faces.size(0)}, at::kBool);
+  selected.narrow(0, 10, 40).fill_(true);
+  const MeshFacts facts = inspect(subdivide(mesh, selected, 0));
+  EXPECT_TRUE(facts.closed());
+  EXPECT_GT(facts.faces, mesh.faces.size(0) + 3 * 40);
+  EXPECT_EQ(facts.euler, 2);
+  EXPECT_EQ(inspect(subdivide(mesh, selected, 10)).faces, mesh.faces.size(0));
+}
+
+TEST(Decimate, OnlyTheSelectionThins) {
+  const TriMesh mesh = as_mesh(testing::sphere(4));
+  const Tensor centre = mesh.vertices.index_select(0, mesh.faces.select(1, 0).to(at::kLong));
+  const Tensor upper = centre.select(1, 2) > 0.2;
+  const MeshFacts facts = inspect(decimate(mesh, upper, 0.3));
+  EXPECT_TRUE(facts.closed());
+  EXPECT_LT(facts.faces, mesh.faces.size(0));
+  EXPECT_GE(facts.faces, mesh.faces.size(0) - upper.sum().item<int64_t>());
+}
+
+TEST(Regularizer, GradientsAgainstCentralDifferences) {
+  const TriMesh mesh = as_mesh(testing::sphere(1));
+  const MeshRegularizer regularizer(mesh);
+  // float32 inside: a large step on a smooth quadratic is exact up to rounding.
+  const Tensor moved =
+      (mesh.vertices + testing::uniform(mesh.vertices.sizes(), -0.05, 0.05, 4).to(at::kFloat))
+          .requires_grad_(true);
+  for (int term = 0; term < 3; ++term) {
+    const auto loss = [&](const Tensor& v) {
+      return term == 0 ? regularizer.laplacian(v)
+                       : (term == 1 ? regularizer.edge_length(v) : regularizer.chamfer(v));
+    };
+    const Tensor grad = torch::autograd::grad({loss(moved)}, {moved})[0];
+    at::NoGradGuard guard;
+    const Tensor direction = testing::uniform(moved.sizes(), -1, 1, 5).to(at::kFloat);
+    const double h = 1e-3;
+    const double numeric =
+        (loss(moved + h * direction) - loss(moved - h * direction)).item<double>() / (2 * h);
+    EXPECT_NEAR((grad * direction).sum().item<double>(), numeric, 2e-3 * std::abs(numeric) + 1e-4);
+  }
+}
+
+TEST(Regularizer, ChamferSearchesWhenVerticesTravelFar) {
+  const TriMesh mesh = as_mesh(testing::sphere(2));
+  const MeshRegularizer regularizer(mesh);
+  // A rotation by a quarter turn maps the vertex set onto itself: distance 0, although every
+  // vertex left its own place.
+  const Tensor turned = at::stack({-mesh.vertices.select(1, 1), mesh.vertices.select(1, 0),
+                                   mesh.vertices.select(1, 2)}, 1);
+  EXPECT_LT(regularizer.chamfer(turned).item<double>(), 1e-10);
+  EXPECT_NEAR(regularizer.chamfer(mesh.vertices * 1.01).item<double>(), 2e-4, 1e-6);
+}
+
+TEST(WritePly, CountsAndUnits) {
+  testing::TemporaryFolder folder;
+  const TriMesh mesh = as_mesh(testing::sphere(1));
+  write_ply(mesh, {0.5, {1, 2, 3}}, folder / "m.ply");
+  const std::string bytes = read_file(folder / "m.ply");
+  EXPECT_NE(bytes.find("element vertex 18"), std::string::npos);
+  EXPECT_NE(bytes.find("element face 32"), std::string::npos);
+  float first[3];
+  std::memcpy(first, bytes.data() + bytes.find("end_header\n") + 11, sizeof first);
+  EXPECT_FLOAT_EQ(first[0], 3);   // (1,0,0) / 0.5 + centre
+  EXPECT_FLOAT_EQ(first[1], 2);
+}
+
+}  // namespace
+}  // namespace tt3d
