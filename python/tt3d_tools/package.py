@@ -65,6 +65,7 @@ def export_program(model: torch.nn.Module, size: tuple[int, int]) -> torch.expor
     sample = torch.zeros(2, 3, *size)
     batch = torch.export.Dim("batch", min=1, max=MAX_BATCH)
     program = torch.export.export(model, (sample,), dynamic_shapes=({0: batch},), strict=False)
+    program.example_inputs = None  # zeros, and a pickle
     for node in program.graph.nodes:
         node.meta.pop("stack_trace", None)  # paths of this machine do not belong in a package
     return program

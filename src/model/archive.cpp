@@ -18,6 +18,7 @@ zip* open_zip(const std::filesystem::path& path) {
   int code = 0;
   zip* archive = zip_open(path.c_str(), ZIP_RDONLY | ZIP_CHECKCONS, &code);
   if (archive != nullptr) return archive;
+  if (code == ZIP_ER_EXISTS) throw Malformed("an entry is there twice");
   zip_error_t error;
   zip_error_init_with_code(&error, code);
   const std::string reason = zip_error_strerror(&error);

@@ -88,12 +88,12 @@ TEST_F(Refusal, OtherZip) {
 TEST_F(Refusal, NamesThatLeaveTheArchive) {
   for (const std::string name : {"toy_cnn/../evil", "../evil", "toy_cnn/a\\b"}) {
     auto kept = entries;
-    entries[name] = "x";
+    entries.emplace(name, "x");
     write();
     EXPECT_NE(error(), "") << name;
     entries = kept;
   }
-  entries["/etc/evil"] = "x";
+  entries.emplace("/etc/evil", "x");
   write();
   expect_error("plain relative path");
 }
@@ -113,11 +113,11 @@ TEST_F(Refusal, ZipBomb) {
 }
 
 TEST_F(Refusal, DuplicateEntries) {
-  entries[kRoot + "dup_a"] = "x";
-  entries[kRoot + "dup_b"] = "y";
+  entries.emplace(kRoot + "dup_a", "x");
+  entries.emplace(kRoot + "dup_b", "y");
   write();
   std::string bytes = read_file(path);
-  testing::replace_all(bytes, "dup_b", "dup_a");
+  testing::overwrite(bytes, "dup_b", "dup_a");
   write_file_atomic(path, bytes);
   testing::write_card(path, "toy_cnn");
   expect_error("is there twice");
@@ -134,7 +134,7 @@ TEST_F(Refusal, TruncatedFile) {
 }
 
 TEST_F(Refusal, DamagedWeights) {
-  entries[kRoot + "data/weights/marker"] = "MARKERMARKER";
+  entries.emplace(kRoot + "data/weights/marker", "MARKERMARKER");
   edit_weight([](Json& weight) { weight["path_name"] = "marker"; });
   edit_weight([](Json& weight) {
     weight["tensor_meta"]["sizes"] = Json::array({{{"as_int", 1}}});
@@ -144,7 +144,7 @@ TEST_F(Refusal, DamagedWeights) {
   });
   write();
   std::string bytes = read_file(path);
-  testing::replace_all(bytes, "MARKERMARKER", "MARKERmARKER");
+  testing::overwrite(bytes, "MARKERMARKER", "MARKERmARKER");
   write_file_atomic(path, bytes);
   testing::write_card(path, "toy_cnn");
   expect_error("damaged");
@@ -198,7 +198,7 @@ TEST_F(Refusal, UnknownOperatorIsNamedWithItsNode) {
 }
 
 TEST_F(Refusal, CyclesAndUndefinedNames) {
-  edit_graph([](Json& graph) { std::swap(graph["nodes"][0], graph["nodes"][1]); });
+  edit_graph([](Json& graph) { std::reverse(graph["nodes"].begin(), graph["nodes"].end()); });
   write();
   expect_error("before anything defines it");
 }

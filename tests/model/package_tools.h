@@ -2,6 +2,7 @@
 
 #include <zip.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <functional>
@@ -9,6 +10,7 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <string_view>
 
 #include "tt3d/core.h"
 
@@ -62,9 +64,10 @@ inline void write_card(const std::filesystem::path& archive, const std::string& 
   write_file_atomic(path.replace_extension(".json"), card.dump());
 }
 
-inline void replace_all(std::string& text, const std::string& from, const std::string& to) {
+/// Overwrites every `from` with `to`, which has the same length: offsets in a zip stay valid.
+inline void overwrite(std::string& text, std::string_view from, std::string_view to) {
   for (size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size()) {
-    text.replace(at, from.size(), to);
+    std::copy(to.begin(), to.end(), text.begin() + static_cast<std::ptrdiff_t>(at));
   }
 }
 
