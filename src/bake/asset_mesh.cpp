@@ -1,0 +1,98 @@
+#include <ATen/ATen.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "asset_source.h"
+#include "tt3d/capture.h"
+
+namespace tt3d {
+namespace fs = std::filesystem;
+
+namespace {
+
+void check_matrix(const at::Tensor& t, int64_t columns, at::ScalarType type, const char* name,
+                  const fs::path& where) {
+  if (!t.defined() || t.dim() != 2 || t.size(1) != columns || t.scalar_type() != type ||
+      t.size(0) == 0) {
+    throw InputError(where, std::string("the mesh's ") + name + " must be a non-empty [N," +
+                                std::to_string(columns) + "] " + at::toString(type) + " tensor");
+  }
+}
+
+void check_finite(const at::Tensor& t, const char* name, const fs::path& where) {
+  if (!t.isfinite().all().item<bool>()) {
+    throw InputError(where, std::string("the mesh's ") + name + " hold values that are not finite");
+  }
+}
+
+void check_indices(const at::Tensor& t, int64_t limit, const char* name, const fs::path& where) {
+  if (t.min().item<int32_t>() < 0 || t.max().item<int32_t>() >= limit) {
+    throw InputError(where, std::string("the mesh's ") + name + " point outside their array of " +
+                                std::to_string(limit));
+  }
+}
+
+}  // namespace
+
+void check_mesh(const TexturedMesh& mesh, const fs::path& where) {
+  check_matrix(mesh.vertices, 3, at::kFloat, "vertices", where);
+  check_matrix(mesh.faces, 3, at::kInt, "faces", where);
+  check_matrix(mesh.uvs, 2, at::kFloat, "uvs", where);
+  check_matrix(mesh.uv_faces, 3, at::kInt, "uv faces", where);
+  if (mesh.faces.size(0) != mesh.uv_faces.size(0)) {
+    throw InputError(where, "the mesh has not as many uv faces as faces");
+  }
+  check_finite(mesh.vertices, "vertices", where);
+  check_finite(mesh.uvs, "uvs", where);
+  check_indices(mesh.faces, mesh.vertices.size(0), "faces", where);
+  check_indices(mesh.uv_faces, mesh.uvs.size(0), "uv faces", where);
+  const at::Tensor& texture = mesh.texture;
+  if (!texture.defined() || texture.dim() != 3 || texture.size(2) != 3 ||
+      texture.scalar_type() != at::kByte || texture.numel() == 0) {
+    throw InputError(where, "the mesh's texture must be a non-empty [H,W,3] uint8 tensor");
+  }
+}
+
+TexturedMesh load_asset(const fs::path& path) {
+  std::string extension = path.extension().string();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  if (extension != ".glb" && extension != ".obj") {
+    throw InputError(path, "expected an asset with the extension .glb or .obj");
+  }
+  TexturedMesh mesh = merge_materials(extension == ".glb" ? read_glb(path) : read_obj(path));
+  check_mesh(mesh, path);
+  return mesh;
+}
+
+fs::path resolve_reference(const fs::path& asset, const std::string& reference) {
+  std::string name = reference;
+  std::replace(name.begin(), name.end(), '\\', '/');
+  const fs::path path = fs::path(name).lexically_normal();
+  if (path.empty() || path.is_absolute() || *path.begin() == ".." || name.find(':') != name.npos) {
+    throw InputError(asset, "refers to '" + reference +
+                                "', which leads out of its folder; put "
+                                "the file beside the asset and name it by a relative path");
+  }
+  const fs::path found = asset.parent_path() / path;
+  if (!fs::is_regular_file(found))
+    throw InputError(found, "no such file, named by " + asset.string());
+  return found;
+}
+
+at::Tensor rgb_image(std::string_view bytes, const fs::path& name) {
+  return decode_image(bytes, name).narrow(2, 0, 3).contiguous();
+}
+
+float linear_to_srgb(float value) {
+  const float v = std::clamp(value, 0.F, 1.F);
+  return v <= 0.0031308F ? 12.92F * v : 1.055F * std::pow(v, 1 / 2.4F) - 0.055F;
+}
+
+float srgb_to_linear(float value) {
+  const float v = std::clamp(value, 0.F, 1.F);
+  return v <= 0.04045F ? v / 12.92F : std::pow((v + 0.055F) / 1.055F, 2.4F);
+}
+
+}  // namespace tt3d
