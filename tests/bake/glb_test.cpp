@@ -1,6 +1,7 @@
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
 
+#include <cstdlib>
 #include <cstring>
 
 #include "bake/asset_fixtures.h"
@@ -255,6 +256,13 @@ TEST_F(Glb, Images) {
       "base64");
   expect_error([](json& r, std::string&) { r["images"][0]["bufferView"] = 0; },
                "neither PNG nor JPEG");
+}
+
+TEST_F(Glb, WrittenForOtherTools) {
+  const char* folder = std::getenv("TT3D_ASSET_OUT");
+  if (folder == nullptr) GTEST_SKIP() << "run by tests/python/test_assets.py with TT3D_ASSET_OUT";
+  write_glb(mesh_, std::filesystem::path(folder) / "object.glb");
+  write_obj(mesh_, std::filesystem::path(folder) / "object.obj");
 }
 
 TEST_F(Glb, MalformedMeshesAreNotWritten) {
