@@ -10,6 +10,9 @@ namespace tt3d::model {
 /// value defined once and before its use, no weight written to. Throws Malformed.
 [[nodiscard]] Graph read_graph(const Archive& archive, const ModelLimits& limits);
 
+/// Refuses in-place operators on weights and on views of weights. Throws Malformed.
+void check_weights_are_read_only(const Graph& graph);
+
 /// Fills Step::release: the values that nothing uses after a step.
 void find_last_uses(Graph& graph);
 
