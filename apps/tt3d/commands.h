@@ -2,7 +2,10 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdint>
+#include <memory>
 #include <string>
+
+#include "tt3d/core.h"
 
 /// The subcommands of the program. Each function registers one with a callback that does the
 /// work; errors leave as tt3d::Error and main() turns them into a line and an exit code.
@@ -17,7 +20,26 @@ struct Common {
   int verbosity = 0;
 };
 
+/// Adds --device, --threads, --seed, --json, -v and -q to a subcommand.
+void add_common_options(CLI::App& command, Common& common);
+
+/// Applies device and threads; throws InputError for a device that is not there.
+void apply_common(const Common& common);
+
 /// `tt3d model check|classify|list`.
 void add_model_command(CLI::App& app, Common& common);
+/// `tt3d run`, and the single stages `fit`, `mesh`, `attack`, `bake`, `report`.
+void add_run_commands(CLI::App& app, Common& common);
+/// `tt3d evaluate` and `tt3d render`.
+void add_evaluate_commands(CLI::App& app, Common& common);
+/// `tt3d info` and `tt3d config`.
+void add_info_commands(CLI::App& app, Common& common);
+
+/// A progress display on stderr: one line that renews itself on a terminal, silent elsewhere but
+/// for notes; stops long work on Ctrl-C.
+[[nodiscard]] std::unique_ptr<Progress> make_progress(const Common& common);
+
+/// Prints an evaluation record (its JSON text) as a table on stdout.
+void print_record(const std::string& record_json);
 
 }  // namespace tt3d::cli

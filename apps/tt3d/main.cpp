@@ -1,0 +1,79 @@
+#include <ATen/Context.h>
+#include <ATen/Parallel.h>
+
+#include <cstdlib>
+#include <iostream>
+#include <new>
+
+#include "commands.h"
+#include "tt3d/core.h"
+#include "tt3d/version.h"
+
+namespace tt3d::cli {
+
+void add_common_options(CLI::App& command, Common& common) {
+  command.add_option("--device", common.device, "auto, cpu or cuda")
+      ->check(CLI::IsMember({"auto", "cpu", "cuda"}))
+      ->capture_default_str();
+  command.add_option("--threads", common.threads, "threads to use; 0 takes all")
+      ->check(CLI::NonNegativeNumber);
+  command.add_option("--seed", common.seed, "seed of every random stream")->capture_default_str();
+  command.add_flag("--json", common.json, "print results as JSON on stdout");
+  command.add_flag_callback("-v", [&common] { ++common.verbosity; }, "progress lines when not on a terminal");
+  command.add_flag_callback("-q", [&common] { common.verbosity = -1; }, "no progress, no notes");
+}
+
+void apply_common(const Common& common) {
+  if (common.device == "cuda") {
+    throw InputError("--device cuda: this build has no CUDA executors; use --device cpu");
+  }
+  if (common.threads > 0) at::set_num_threads(common.threads);
+}
+
+namespace {
+
+int run_program(int argc, char** argv) {
+  CLI::App app{"Photographs of an object in, a measured adversarial 3D object out.", "tt3d"};
+  app.set_version_flag("--version", kVersion);
+  app.require_subcommand(1);
+  app.fallthrough(false);
+  Common common;
+  add_run_commands(app, common);
+  add_evaluate_commands(app, common);
+  add_model_command(app, common);
+  add_info_commands(app, common);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    const int code = app.exit(error);
+    return code == 0 ? 0 : 2;
+  }
+  return 0;
+}
+
+/// One clear line, and the exit code that goes with it.
+int report_error(const std::string& line, int code) {
+  std::cerr << "\ntt3d: " << line << "\n";
+  return code;
+}
+
+}  // namespace
+}  // namespace tt3d::cli
+
+int main(int argc, char** argv) {
+  // Idle OpenMP threads that spin starve other programs on a shared machine; set before the first
+  // parallel region, and never over the user's own choice.
+  ::setenv("OMP_WAIT_POLICY", "PASSIVE", 0);
+  try {
+    return tt3d::cli::run_program(argc, argv);
+  } catch (const tt3d::Error& error) {
+    return tt3d::cli::report_error(error.what(), error.exit_code());
+  } catch (const std::bad_alloc&) {
+    return tt3d::cli::report_error("out of memory; lower the batch or the resolution", 5);
+  } catch (const std::exception& error) {
+    // The first line alone: torch appends a stack trace.
+    const std::string text = error.what();
+    const bool memory = text.find("DefaultCPUAllocator") != std::string::npos;
+    return tt3d::cli::report_error(text.substr(0, text.find('\n')), memory ? 5 : 1);
+  }
+}

@@ -1,0 +1,166 @@
+#include <fmt/format.h>
+
+#include <iostream>
+#include <nlohmann/json.hpp>
+
+#include "commands.h"
+#include "tt3d/run.h"
+
+namespace tt3d::cli {
+namespace fs = std::filesystem;
+using nlohmann::json;
+namespace {
+
+/// What the commands of this file were given.
+struct Arguments {
+  std::string config, capture, run, target;
+  std::vector<std::string> sets, surrogates;
+  bool restart = false;
+};
+
+void print_summary(const Run& run, const Common& common) {
+  const std::string record = read_file(run.folder() / "eval" / "builtin.json");
+  if (common.json) {
+    std::cout << record;
+    return;
+  }
+  const json field = json::parse(read_file(run.folder() / "field" / "metrics.json"));
+  const json mesh = json::parse(read_file(run.folder() / "mesh" / "metrics.json"));
+  print_record(record);
+  std::cout << fmt::format("field PSNR {:.2f} dB, baked mesh PSNR {:.2f} dB, {} faces, {}\n",
+                           field["psnr_test"].get<double>(), mesh["psnr_test_baked"].get<double>(),
+                           mesh["faces"].get<int64_t>(),
+                           mesh["closed"].get<bool>() ? "closed and manifold" : "not closed");
+  double seconds = 0;
+  int64_t peak = 0;
+  for (const StageRecord& s : run.stages()) {
+    seconds += s.seconds;
+    peak = std::max(peak, s.peak_rss_bytes);
+  }
+  std::cout << fmt::format("{:.0f} s, peak memory {:.2f} GiB\nreport: {}\n", seconds,
+                           static_cast<double>(peak) / (1 << 30),
+                           (run.folder() / "report.html").string());
+}
+
+/// A seed given on the command line rules over the configuration's.
+void apply_seed(RunConfig& config, const Common& common, const CLI::App& command) {
+  if (command.count("--seed") > 0) config.seed = common.seed;
+}
+
+void run_all(const Arguments& a, const Common& common, const CLI::App& command) {
+  apply_common(common);
+  RunConfig config = load_config(a.config);
+  for (const std::string& s : a.sets) set_config(config, s);
+  apply_seed(config, common, command);
+  const fs::path out = a.run.empty() ? fs::path("runs") / fs::path(a.config).stem() : fs::path(a.run);
+  const auto progress = make_progress(common);
+  Run run(out, config, a.restart);
+  run.run_until("report", *progress);
+  print_summary(run, common);
+}
+
+void fit(const Arguments& a, const Common& common, const CLI::App& command) {
+  apply_common(common);
+  RunConfig config;
+  config.capture.path = fs::absolute(a.capture);
+  for (const std::string& s : a.sets) set_config(config, s);
+  apply_seed(config, common, command);
+  const auto progress = make_progress(common);
+  Run run(a.run, config, a.restart);
+  run.run_until("field", *progress);
+  std::cout << read_file(run.folder() / "field" / "metrics.json");
+}
+
+/// Runs a stage of an existing run, with keys changed first.
+Run continue_run(const Arguments& a, const Common& common, std::vector<std::string> assignments,
+                 const std::string& stage) {
+  apply_common(common);
+  Run run = Run::open(a.run);
+  assignments.insert(assignments.end(), a.sets.begin(), a.sets.end());
+  if (!assignments.empty()) run.reconfigure(assignments, stage);
+  const auto progress = make_progress(common);
+  run.run_until(stage, *progress);
+  return run;
+}
+
+std::string toml_list(const std::vector<std::string>& words) {
+  return json(words).dump();   // a JSON list of strings is a TOML one
+}
+
+void attack(const Arguments& a, const Common& common) {
+  std::vector<std::string> assignments = {"attack.target=" + json(a.target).dump(),
+                                          "attack.surrogates=" + toml_list(a.surrogates)};
+  const Run run = continue_run(a, common, assignments, "attack");
+  std::cout << (run.folder() / "attack" / "attack.safetensors").string() << "\n";
+}
+
+CLI::App* stage_command(CLI::App& app, Common& common, Arguments& a, const std::string& name,
+                        const std::string& description) {
+  CLI::App* command = app.add_subcommand(name, description);
+  command->add_option("RUN", a.run, "run folder")->required();
+  command->add_option("--set", a.sets, "key=value of the configuration");
+  add_common_options(*command, common);
+  return command;
+}
+
+}  // namespace
+
+void add_run_commands(CLI::App& app, Common& common) {
+  auto a = std::make_shared<Arguments>();
+  CLI::App* all = app.add_subcommand("run", "all stages of a configuration; run again to resume");
+  all->add_option("CONFIG", a->config, "configuration, TOML")->required();
+  all->add_option("--out", a->run, "run folder; default runs/NAME");
+  all->add_option("--set", a->sets, "key=value, over the file's");
+  all->add_flag("--restart", a->restart, "start over in a folder that holds a run");
+  add_common_options(*all, common);
+  all->callback([a, &common, all] { run_all(*a, common, *all); });
+
+  CLI::App* field = app.add_subcommand("fit", "photographs to a radiance field");
+  field->add_option("CAPTURE", a->capture, "folder of photographs and cameras")->required();
+  field->add_option("--out", a->run, "run folder")->required();
+  field->add_option("--set", a->sets, "key=value of the configuration");
+  field->add_flag("--restart", a->restart, "start over in a folder that holds a run");
+  add_common_options(*field, common);
+  field->callback([a, &common, field] { fit(*a, common, *field); });
+
+  stage_command(app, common, *a, "mesh", "radiance field to a refined mesh")->callback([a, &common] {
+    std::cout << read_file(continue_run(*a, common, {}, "mesh").folder() / "mesh" / "metrics.json");
+  });
+  CLI::App* command = stage_command(app, common, *a, "attack", "mesh to an adversarial mesh");
+  command->add_option("--target", a->target, "class: index, WordNet id or name")->required();
+  command->add_option("--surrogate", a->surrogates, "models the attack may see")->required();
+  command->callback([a, &common] { attack(*a, common); });
+  stage_command(app, common, *a, "bake", "textured files of the clean and the adversarial object")
+      ->callback([a, &common] {
+        std::cout << (continue_run(*a, common, {}, "bake").folder() / "asset").string() << "\n";
+      });
+  stage_command(app, common, *a, "report", "report.html of a run")->callback([a, &common] {
+    std::cout << (continue_run(*a, common, {}, "report").folder() / "report.html").string() << "\n";
+  });
+}
+
+void print_record(const std::string& record_json) {
+  const json r = json::parse(record_json);
+  const auto percent = [](const json& x) {
+    return x.is_null() ? std::string("-") : fmt::format("{:.1f} %", 100 * x.get<double>());
+  };
+  std::cout << fmt::format("target {} ({}), {} views of '{}' on {}\n", r["target"]["name"].get<std::string>(),
+                           r["target"]["index"].get<int64_t>(), r["views"]["count"].get<int64_t>(),
+                           r["views"]["distribution"].get<std::string>(), r["background"].get<std::string>());
+  std::cout << fmt::format("{:<24} {:>8} {:>18} {:>10} {:>14} {:>10}\n", "victim", "ASR", "95 % interval",
+                           "clean acc", "ASR if correct", "p(target)");
+  for (const json& v : r["victims"]) {
+    const std::string interval = fmt::format("{:.1f} to {:.1f} %", 100 * v["asr_ci95"][0].get<double>(),
+                                             100 * v["asr_ci95"][1].get<double>());
+    std::cout << fmt::format("{:<24} {:>8} {:>18} {:>10} {:>14} {:>10.3f}\n", v["name"].get<std::string>(),
+                             percent(v["asr"]), interval, percent(v["clean_accuracy"]),
+                             percent(v["asr_on_correct"]), v["mean_target_probability"].get<double>());
+  }
+  const json& n = r["naturalness"];
+  if (!n["psnr"].is_null()) {
+    std::cout << fmt::format("against the clean object: PSNR {:.2f} dB, SSIM {:.3f}\n",
+                             n["psnr"].get<double>(), n["ssim"].get<double>());
+  }
+}
+
+}  // namespace tt3d::cli

@@ -1,0 +1,110 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <array>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "tt3d/capture.h"
+#include "tt3d/core.h"
+#include "tt3d/mesh.h"
+#include "tt3d/model.h"
+
+/// The adversarial optimisation: paper, sections 3.2 to 3.5. Minimises over views and transforms
+///   E L_f(t(render(V*, theta*, view)), y*) + beta (l1 R_rgb + l2 R_cd + l3 R_lap + l4 R_edge)
+/// in the parameters of the appearance (grid, MLP or both) and the vertices.
+namespace tt3d {
+
+/// What is optimised.
+struct AttackMethod {
+  bool grid = true;       ///< appearance grid
+  bool mlp = true;        ///< appearance MLP
+  bool vertices = true;   ///< vertex offsets
+};
+/// dual (all), dual-texture-only (no vertices), mlp, grid (each with vertices). Throws InputError.
+[[nodiscard]] AttackMethod attack_method(const std::string& name);
+[[nodiscard]] const std::vector<std::string>& attack_method_names();
+
+/// Ranges of the 2D transforms t, each drawn anew for every picture (expectation over
+/// transformation, Athalye et al. 2018). A range of zero switches a transform off.
+struct EotOptions {
+  double scale_low = 0.7, scale_high = 1.15;   ///< size of the picture in the frame
+  double shift = 0.1;          ///< of the frame's side, each way
+  double rotation_deg = 10;    ///< each way
+  double brightness = 0.2;     ///< factor U(1-b, 1+b)
+  double contrast = 0.2;       ///< likewise, around the picture's mean
+  double saturation = 0.2;     ///< likewise, around the grey picture
+  double blur = 1.0;           ///< Gaussian sigma U(0,blur) pixels
+  double noise = 0.02;         ///< Gaussian, sigma U(0,noise)
+  double plain_background = 0.5;  ///< share of pictures on a random plain colour; the rest on white
+};
+
+/// `images` [N,4,H,W] premultiplied rendering, transformed and composited over a background:
+/// [N,3,size,size] in [0,1]. Placement happens before compositing and colours after, so the
+/// padding is background, not black. Keyed by (seed, step). Differentiable.
+[[nodiscard]] at::Tensor transform_images(const at::Tensor& images, int64_t size,
+                                          const EotOptions& options, uint64_t seed, int64_t step);
+
+struct AttackOptions {
+  std::string method = "dual";
+  std::string objective = "cross-entropy";   ///< cross-entropy, logit, margin
+  double beta = 1000;            ///< strength of naturalness
+  double rgb_weight = 1;         ///< l1
+  double chamfer_weight = 3000;  ///< l2
+  double laplacian_weight = 1e-3;  ///< l3
+  double edge_weight = 1e-2;     ///< l4
+  double psnr_floor = 0;         ///< dB; below 0 disables: R_rgb counts only beyond this error
+  int64_t steps = 800;
+  int64_t views_per_step = 6;
+  int64_t image_size = 256;      ///< rendered pixels a side
+  std::string view_distribution = "dome";
+  double appearance_rate = 1e-2;
+  double vertex_rate = 1e-4;
+  double final_rate = 0.5;       ///< share of the rates left at the end (exponential)
+  EotOptions eot;
+  int64_t checkpoint_every = 50;
+};
+
+/// The shape and look that the attack changes, and the models it may see.
+struct AttackInput {
+  TriMesh mesh;
+  Appearance appearance;
+  ViewFrame frame;
+  std::vector<std::shared_ptr<const Classifier>> surrogates;
+  std::vector<int64_t> targets;   ///< index of the target class in each surrogate's labels
+};
+
+/// One row of the log.
+struct AttackCurvePoint {
+  int64_t step;
+  double loss, objective, rgb, chamfer, laplacian, edge, success;
+};
+
+struct AttackResult {
+  TriMesh mesh;            ///< V*, same faces
+  Appearance appearance;   ///< theta*
+  std::vector<AttackCurvePoint> curves;
+};
+
+/// Runs the attack; resumes from `checkpoint` if it exists, to the same bytes.
+/// Throws NumericError when it diverges for good.
+[[nodiscard]] AttackResult run_attack(const AttackInput& input, const AttackOptions& options,
+                                      uint64_t seed, const std::filesystem::path& checkpoint,
+                                      Progress& progress);
+
+/// Saves and loads what an attack produced (attack.safetensors).
+void save_attack(const AttackResult& result, const std::filesystem::path& path);
+[[nodiscard]] AttackResult load_attack(const std::filesystem::path& path);
+/// CSV of the curves, a row a step.
+[[nodiscard]] std::string curves_csv(const std::vector<AttackCurvePoint>& curves);
+
+/// The objective L_f of a batch, a mean over pictures: logits [N,classes].
+[[nodiscard]] at::Tensor objective_loss(const std::string& name, const at::Tensor& logits,
+                                        int64_t target);
+[[nodiscard]] const std::vector<std::string>& objective_names();
+
+}  // namespace tt3d

@@ -1,0 +1,117 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "tt3d/attack.h"
+#include "tt3d/capture.h"
+#include "tt3d/core.h"
+#include "tt3d/evaluate.h"
+#include "tt3d/field.h"
+#include "tt3d/mesh.h"
+
+/// The main job: a configuration, a run folder, and the stages between them.
+namespace tt3d {
+
+// ---- Configuration ------------------------------------------------------------------------
+
+/// Everything a run can be told; `tt3d config` lists the keys.
+struct RunConfig {
+  uint64_t seed = 0;
+  CaptureOptions capture;
+  FieldOptions field;
+  MeshOptions mesh;
+  AttackOptions attack;
+  std::string attack_target;
+  std::vector<std::string> attack_surrogates;
+  int bake_resolution = 2048;
+  int bake_padding = 4;
+  double unwrap_time_limit = 300;
+  std::string true_class;
+  std::vector<std::string> victims;
+  int64_t evaluate_views = 100;
+  std::string evaluate_distribution = "dome";
+  int evaluate_size = 400;
+  std::string evaluate_background = "white";
+};
+
+/// One documented key.
+struct ConfigKey {
+  std::string name, meaning, unit, range;
+  std::string value;   ///< as TOML
+};
+
+/// Every key with its value in `config`, in order.
+[[nodiscard]] std::vector<ConfigKey> config_keys(const RunConfig& config);
+
+/// Reads a TOML file over the defaults. Relative paths are relative to the file. Throws InputError
+/// with file, line and key: unknown keys (with the nearest valid one), wrong types, values out of
+/// range.
+[[nodiscard]] RunConfig load_config(const std::filesystem::path& path);
+/// Applies "key=value" as --set gives it; the value is TOML, a bare word counts as a string.
+void set_config(RunConfig& config, const std::string& assignment);
+/// The whole configuration as TOML.
+[[nodiscard]] std::string config_toml(const RunConfig& config);
+
+// ---- Run folder ---------------------------------------------------------------------------
+
+/// A finished stage.
+struct StageRecord {
+  std::string name;
+  double seconds = 0;
+  int64_t peak_rss_bytes = 0;
+};
+
+/// A run folder (design, section 7). Holds a lock, so that two programs never share one.
+class Run {
+ public:
+  /// Opens or creates the folder for `config`. A folder that was made with another configuration is
+  /// refused with the differing keys named, unless `restart`, which empties it.
+  Run(const std::filesystem::path& folder, const RunConfig& config, bool restart);
+  /// Opens a folder that exists, with the configuration it was made with.
+  static Run open(const std::filesystem::path& folder);
+  ~Run();
+  Run(Run&& other) noexcept;
+  Run& operator=(Run&&) = delete;
+  Run(const Run&) = delete;
+  Run& operator=(const Run&) = delete;
+
+  [[nodiscard]] const RunConfig& config() const { return config_; }
+  [[nodiscard]] const std::filesystem::path& folder() const { return folder_; }
+  [[nodiscard]] const std::vector<StageRecord>& stages() const { return stages_; }
+  /// Changes keys and forgets `first_stage` and all stages after it.
+  void reconfigure(const std::vector<std::string>& assignments, const std::string& first_stage);
+
+  /// Names of the stages, in order: field, mesh, attack, bake, evaluate, report.
+  static const std::vector<std::string>& stage_names();
+  /// Runs the stages up to and including `last` that are not done. Throws whatever they throw.
+  void run_until(const std::string& last, Progress& progress);
+  [[nodiscard]] bool done(const std::string& stage) const;
+
+ private:
+  Run() = default;
+  void lock();
+  void save() const;
+  void load_stages();
+  void run_stage(const std::string& name, Progress& progress);
+  void run_field(Progress& progress);
+  void run_mesh(Progress& progress);
+  void run_attack_stage(Progress& progress);
+  void run_bake(Progress& progress);
+  void run_evaluate(Progress& progress);
+  void run_report(Progress& progress);
+  const Capture& capture(Progress& progress);
+
+  std::filesystem::path folder_;
+  RunConfig config_;
+  std::vector<StageRecord> stages_;
+  std::map<std::string, std::string> input_hashes_;
+  std::shared_ptr<Capture> capture_;
+  int lock_fd_ = -1;
+};
+
+}  // namespace tt3d

@@ -1,0 +1,111 @@
+#include <ATen/ATen.h>
+
+#include <cmath>
+#include <numbers>
+
+#include "tt3d/attack.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+/// One number a picture, shaped to broadcast over [N,C,H,W].
+Tensor column(const std::vector<float>& values) {
+  return at::tensor(values).view({-1, 1, 1, 1});
+}
+
+/// Affine maps from the frame to the picture: rotation, size and place. [N,2,3].
+Tensor placements(int64_t count, const EotOptions& o, Random& random) {
+  Tensor theta = at::empty({count, 2, 3});
+  auto* p = theta.mutable_data_ptr<float>();
+  for (int64_t i = 0; i < count; ++i, p += 6) {
+    const double angle = random.uniform(-1, 1) * o.rotation_deg * std::numbers::pi / 180;
+    const double inverse = 1 / random.uniform(o.scale_low, o.scale_high);
+    const double dx = random.uniform(-1, 1) * 2 * o.shift, dy = random.uniform(-1, 1) * 2 * o.shift;
+    const double c = std::cos(angle) * inverse, s = std::sin(angle) * inverse;
+    const double m[6] = {c, -s, -(c * dx - s * dy), s, c, -(s * dx + c * dy)};
+    for (int k = 0; k < 6; ++k) p[k] = static_cast<float>(m[k]);
+  }
+  return theta;
+}
+
+Tensor backgrounds(int64_t count, const EotOptions& o, Random& random) {
+  Tensor out = at::ones({count, 3, 1, 1});
+  for (int64_t i = 0; i < count; ++i) {
+    const bool plain = random.uniform() < static_cast<float>(o.plain_background);
+    for (int64_t c = 0; c < 3; ++c) {
+      const float value = random.uniform();
+      if (plain) out[i][c].fill_(value);
+    }
+  }
+  return out;
+}
+
+std::vector<float> factors(int64_t count, double spread, Random& random) {
+  std::vector<float> out;
+  for (int64_t i = 0; i < count; ++i) {
+    out.push_back(static_cast<float>(random.uniform(1 - spread, 1 + spread)));
+  }
+  return out;
+}
+
+/// Brightness, contrast around the mean, saturation around grey.
+Tensor jitter_colors(Tensor x, const EotOptions& o, Random& random) {
+  const int64_t n = x.size(0);
+  x = x * column(factors(n, o.brightness, random));
+  const Tensor mean = x.mean({1, 2, 3}, true);
+  x = mean + (x - mean) * column(factors(n, o.contrast, random));
+  const Tensor luma = at::tensor({0.299F, 0.587F, 0.114F}).view({1, 3, 1, 1});
+  const Tensor grey = (x * luma).sum(1, true);
+  return grey + (x - grey) * column(factors(n, o.saturation, random));
+}
+
+/// Separable Gaussian blur, one sigma for the batch (its pictures already differ in size).
+Tensor blur(const Tensor& x, double sigma) {
+  if (sigma < 0.2) return x;
+  const auto radius = static_cast<int64_t>(std::ceil(2 * sigma));
+  const Tensor offsets = at::arange(-radius, radius + 1).to(at::kFloat);
+  Tensor kernel = (-(offsets.square()) / (2 * sigma * sigma)).exp();
+  kernel = kernel / kernel.sum();
+  const Tensor along_x = kernel.view({1, 1, 1, -1}).repeat({3, 1, 1, 1});
+  const Tensor along_y = kernel.view({1, 1, -1, 1}).repeat({3, 1, 1, 1});
+  const Tensor padded = at::replication_pad2d(x, {radius, radius, radius, radius});
+  const auto convolve = [](const Tensor& picture, const Tensor& weight) {
+    return at::conv2d(picture, weight, Tensor(), at::IntArrayRef{1, 1}, at::IntArrayRef{0, 0},
+                      at::IntArrayRef{1, 1}, 3);
+  };
+  return convolve(convolve(padded, along_x), along_y);
+}
+
+Tensor gaussian_noise(at::IntArrayRef shape, Random& random) {
+  Tensor out = at::empty(shape);
+  auto* p = out.mutable_data_ptr<float>();
+  // A sum of four uniforms is near enough to a normal, and needs no logarithm.
+  constexpr float kScale = 1.7320508F;   // 1 / sqrt(4 / 12)
+  for (int64_t i = 0; i < out.numel(); ++i) {
+    const uint32_t a = random.next(), b = random.next();
+    const float sum = static_cast<float>((a & 0xFFFF) + (a >> 16) + (b & 0xFFFF) + (b >> 16));
+    p[i] = (sum / 65536.0F - 2.0F) * kScale;
+  }
+  return out;
+}
+
+}  // namespace
+
+Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o, uint64_t seed,
+                        int64_t step) {
+  Random random(seed, "attack/eot", static_cast<uint64_t>(step));
+  const int64_t n = images.size(0);
+  const Tensor grid =
+      at::affine_grid_generator(placements(n, o, random), {n, 4, size, size}, false);
+  constexpr int64_t kBilinear = 0, kZeros = 0;
+  const Tensor placed = at::grid_sampler(images, grid, kBilinear, kZeros, false);
+  Tensor x = placed.narrow(1, 0, 3) + (1 - placed.narrow(1, 3, 1)) * backgrounds(n, o, random);
+  x = jitter_colors(x, o, random);
+  x = blur(x, random.uniform(0, 1) * o.blur);
+  if (o.noise > 0) x = x + gaussian_noise(x.sizes(), random) * (random.uniform(0, 1) * o.noise);
+  return x.clamp(0, 1);
+}
+
+}  // namespace tt3d

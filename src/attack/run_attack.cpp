@@ -1,0 +1,340 @@
+#include <ATen/ATen.h>
+#include <torch/csrc/autograd/autograd.h>
+
+#include <cmath>
+
+#include "tt3d/attack.h"
+#include "tt3d/tensor_file.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+constexpr int kMaxRollbacks = 3;
+
+/// Everything that changes while attacking; saved and restored whole.
+struct AttackState {
+  Tensor offsets;   ///< [V,3]
+  Appearance appearance;
+  std::vector<Tensor> moment1, moment2;
+  std::vector<AttackCurvePoint> curves;
+  int64_t step = 0;
+  double rate_scale = 1;
+  int rollbacks = 0;
+};
+
+/// A parameter with the share of the learning rates that applies to it.
+struct Group {
+  Tensor parameter;
+  double rate;
+};
+
+std::vector<Group> free_parameters(const AttackState& s, const AttackMethod& method,
+                                   const AttackOptions& options) {
+  std::vector<Group> groups;
+  if (method.vertices) groups.push_back({s.offsets, options.vertex_rate});
+  if (method.grid) groups.push_back({s.appearance.grid, options.appearance_rate});
+  if (method.mlp) {
+    for (const Tensor& w : s.appearance.color_mlp) groups.push_back({w, options.appearance_rate});
+  }
+  return groups;
+}
+
+AttackState fresh_state(const AttackInput& input, const AttackMethod& method,
+                        const AttackOptions& options) {
+  AttackState s;
+  s.offsets = at::zeros_like(input.mesh.vertices);
+  s.appearance = input.appearance.clone();
+  for (const Group& g : free_parameters(s, method, options)) {
+    g.parameter.requires_grad_(true);
+    s.moment1.push_back(at::zeros_like(g.parameter, g.parameter.options().requires_grad(false)));
+    s.moment2.push_back(at::zeros_like(g.parameter, g.parameter.options().requires_grad(false)));
+  }
+  return s;
+}
+
+constexpr int64_t kCurveColumns = 8;
+
+Tensor curves_tensor(const std::vector<AttackCurvePoint>& curves) {
+  Tensor t = at::empty({static_cast<int64_t>(curves.size()), kCurveColumns}, at::kDouble);
+  auto* p = t.mutable_data_ptr<double>();
+  for (const AttackCurvePoint& c : curves) {
+    for (const double x : {static_cast<double>(c.step), c.loss, c.objective, c.rgb, c.chamfer,
+                           c.laplacian, c.edge, c.success}) {
+      *p++ = x;
+    }
+  }
+  return t;
+}
+
+std::vector<AttackCurvePoint> curves_from(const Tensor& t) {
+  std::vector<AttackCurvePoint> curves;
+  const auto* p = t.const_data_ptr<double>();
+  for (int64_t i = 0; i < t.size(0); ++i, p += kCurveColumns) {
+    curves.push_back({static_cast<int64_t>(p[0]), p[1], p[2], p[3], p[4], p[5], p[6], p[7]});
+  }
+  return curves;
+}
+
+Tensor find_curves(const TensorFile& file) {
+  const auto found = file.tensors.find("curves");
+  if (found == file.tensors.end() || found->second.dim() != 2 ||
+      found->second.size(1) != kCurveColumns || found->second.scalar_type() != at::kDouble) {
+    throw InputError(file.path, "holds no curves [steps,8] float64");
+  }
+  return found->second;
+}
+
+void save_state(const AttackState& s, const std::filesystem::path& path) {
+  std::vector<std::pair<std::string, Tensor>> tensors = {{"offsets", s.offsets}};
+  const auto all = s.appearance.parameters();
+  for (size_t i = 0; i < all.size(); ++i) tensors.emplace_back("appearance." + std::to_string(i), all[i]);
+  for (size_t i = 0; i < s.moment1.size(); ++i) {
+    tensors.emplace_back("moment1." + std::to_string(i), s.moment1[i]);
+    tensors.emplace_back("moment2." + std::to_string(i), s.moment2[i]);
+  }
+  tensors.emplace_back("curves", curves_tensor(s.curves));
+  tensors.emplace_back("counters", at::tensor({s.step, int64_t{s.rollbacks}}, at::kLong));
+  tensors.emplace_back("rate_scale", at::tensor({s.rate_scale}, at::kDouble));
+  save_tensors(path, tensors, {{"format", "tt3d attack state"}});
+}
+
+void load_state(const std::filesystem::path& path, AttackState& s) {
+  const TensorFile file = load_tensors(path);
+  at::NoGradGuard guard;
+  s.offsets.copy_(file.get("offsets", s.offsets.sizes(), at::kFloat));
+  const auto all = s.appearance.parameters();
+  for (size_t i = 0; i < all.size(); ++i) {
+    all[i].copy_(file.get("appearance." + std::to_string(i), all[i].sizes(), at::kFloat));
+  }
+  for (size_t i = 0; i < s.moment1.size(); ++i) {
+    s.moment1[i] = file.get("moment1." + std::to_string(i), s.moment1[i].sizes(), at::kFloat);
+    s.moment2[i] = file.get("moment2." + std::to_string(i), s.moment2[i].sizes(), at::kFloat);
+  }
+  s.curves = curves_from(find_curves(file));
+  const Tensor counters = file.get("counters", {2}, at::kLong);
+  s.step = counters[0].item<int64_t>();
+  s.rollbacks = counters[1].item<int>();
+  s.rate_scale = file.get("rate_scale", {1}, at::kDouble).item<double>();
+}
+
+/// Squared distance that a PSNR stands for, pictures in [0,1].
+double mse_of_psnr(double psnr) { return psnr > 0 ? std::pow(10.0, -psnr / 10) : 0.0; }
+
+/// One attack on one object: what stays the same from step to step.
+class Attacker {
+ public:
+  Attacker(const AttackInput& input, const AttackOptions& options, uint64_t seed)
+      : input_(input),
+        options_(options),
+        seed_(seed),
+        method_(attack_method(options.method)),
+        clean_(input.appearance.clone()),
+        prepared_(input.mesh.faces),
+        regularizer_(input.mesh) {
+    at::NoGradGuard guard;
+    rest_edge_ = regularizer_.edge_length(input.mesh.vertices).item<double>();
+  }
+
+  [[nodiscard]] AttackState fresh() const { return fresh_state(input_, method_, options_); }
+
+  /// Loss and gradients of a step; the curve point has its parts.
+  AttackCurvePoint compute(const AttackState& s, std::vector<Tensor>& grads) const {
+    const auto groups = free_parameters(s, method_, options_);
+    std::vector<Tensor> parameters;
+    for (const Group& g : groups) parameters.push_back(g.parameter);
+    const Tensor vertices = input_.mesh.vertices + s.offsets;
+    Tensor rgb;
+    const Tensor pictures = render(s, vertices, rgb);
+    double success = 0;
+    const Tensor objective = adversarial_loss(pictures, s.step, success);
+    const Tensor excess = (rgb - mse_of_psnr(options_.psnr_floor)).clamp_min(0);
+    Tensor chamfer = at::zeros({}), laplacian = at::zeros({}), edge = at::zeros({});
+    if (method_.vertices) {
+      chamfer = regularizer_.chamfer(vertices);
+      laplacian = regularizer_.laplacian(vertices);
+      edge = regularizer_.edge_length(vertices) - rest_edge_;
+    }
+    const Tensor natural = options_.rgb_weight * excess + options_.chamfer_weight * chamfer +
+                           options_.laplacian_weight * laplacian + options_.edge_weight * edge;
+    const Tensor loss = objective + options_.beta * natural;
+    grads = torch::autograd::grad({loss}, parameters);
+    return {s.step,
+            loss.item<double>(),
+            objective.item<double>(),
+            rgb.item<double>(),
+            chamfer.item<double>(),
+            laplacian.item<double>(),
+            edge.item<double>(),
+            success};
+  }
+
+  void apply(const std::vector<Tensor>& grads, AttackState& s) const {
+    const Adam adam{0.9, 0.999, 1e-15};
+    const double progress = static_cast<double>(s.step) / static_cast<double>(options_.steps);
+    const double decay = std::pow(options_.final_rate, progress) * s.rate_scale;
+    const auto groups = free_parameters(s, method_, options_);
+    at::NoGradGuard guard;
+    for (size_t i = 0; i < groups.size(); ++i) {
+      adam.step(groups[i].parameter, grads[i].contiguous(), s.moment1[i], s.moment2[i],
+                groups[i].rate * decay, s.step + 1);
+    }
+  }
+
+ private:
+  /// Renders the step's views [N,4,H,W], and R_rgb: the squared distance to the clean colours at
+  /// the same surface points, summed over colours and averaged over the pictures' pixels as a
+  /// mean squared error (paper, section 3.4).
+  Tensor render(const AttackState& s, const Tensor& vertices, Tensor& rgb) const {
+    std::vector<Camera> cameras;
+    const int64_t n = options_.views_per_step;
+    for (const SampledView& v :
+         sample_views(options_.view_distribution, seed_, s.step * n, n,
+                      static_cast<int>(options_.image_size), input_.frame)) {
+      cameras.push_back(v.camera);
+    }
+    const auto pixels =
+        static_cast<double>(3 * n * options_.image_size * options_.image_size);
+    // The appearance sticks to the surface: points are looked up where they rest.
+    const Tensor rendered = render_mesh(
+        vertices, input_.mesh.vertices, prepared_, cameras, [&](const Tensor& x) {
+          const Tensor color = s.appearance.color(x);
+          Tensor clean;
+          {
+            at::NoGradGuard guard;
+            clean = clean_.color(x);
+          }
+          rgb = (color - clean).square().sum() / pixels;
+          return color;
+        });
+    return rendered.permute({0, 3, 1, 2});
+  }
+
+  Tensor adversarial_loss(const Tensor& pictures, int64_t step, double& success) const {
+    Tensor total = at::zeros({});
+    const auto models = static_cast<int64_t>(input_.surrogates.size());
+    for (int64_t m = 0; m < models; ++m) {
+      const Classifier& model = *input_.surrogates[m];
+      // Each surrogate sees its own draw of the transforms.
+      const Tensor seen =
+          transform_images(pictures, model.card().height, options_.eot, seed_, step * models + m);
+      const Tensor logits = model.logits(seen);
+      total = total + objective_loss(options_.objective, logits, input_.targets[m]);
+      const Tensor hit = logits.detach().argmax(1) == input_.targets[m];
+      success += hit.to(at::kDouble).mean().item<double>() / static_cast<double>(models);
+    }
+    return total / static_cast<double>(models);
+  }
+
+  const AttackInput& input_;
+  const AttackOptions& options_;
+  uint64_t seed_;
+  AttackMethod method_;
+  Appearance clean_;
+  RenderMesh prepared_;
+  MeshRegularizer regularizer_;
+  double rest_edge_ = 0;
+};
+
+void roll_back(const Attacker& attacker, const std::filesystem::path& checkpoint, AttackState& s,
+               Progress& progress) {
+  const int64_t failed = s.step;
+  const int rollbacks = s.rollbacks + 1;
+  const double scale = s.rate_scale * 0.5;
+  if (rollbacks > kMaxRollbacks) {
+    throw NumericError("attack diverged at step " + std::to_string(failed) +
+                       " after three roll-backs; lower attack.appearance_rate or "
+                       "attack.vertex_rate");
+  }
+  progress.note("attack diverged at step " + std::to_string(failed) +
+                ": rolling back, learning rates x " + std::to_string(scale));
+  s = attacker.fresh();
+  if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
+  s.rollbacks = rollbacks;
+  s.rate_scale = scale;
+}
+
+}  // namespace
+
+AttackResult run_attack(const AttackInput& input, const AttackOptions& options, uint64_t seed,
+                        const std::filesystem::path& checkpoint, Progress& progress) {
+  if (input.surrogates.empty()) throw InputError("attack.surrogates: name at least one model");
+  const Attacker attacker(input, options, seed);
+  AttackState s = attacker.fresh();
+  if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
+  progress.begin("attack", options.steps, s.step);
+  double success = 0, objective = 0, rgb = 0;
+  while (s.step < options.steps) {
+    std::vector<Tensor> grads;
+    const AttackCurvePoint point = attacker.compute(s, grads);
+    if (!std::isfinite(point.loss)) {
+      roll_back(attacker, checkpoint, s, progress);
+      continue;
+    }
+    attacker.apply(grads, s);
+    s.curves.push_back(point);
+    ++s.step;
+    const double keep = s.curves.size() == 1 ? 0.0 : 0.95;
+    success = keep * success + (1 - keep) * point.success;
+    objective = keep * objective + (1 - keep) * point.objective;
+    rgb = keep * rgb + (1 - keep) * point.rgb;
+    progress.update(s.step, {{"loss", objective},
+                             {"asr", success},
+                             {"psnr", rgb > 0 ? -10 * std::log10(rgb) : 99.0}});
+    if (s.step % options.checkpoint_every == 0) save_state(s, checkpoint);
+    progress.check();
+  }
+  progress.end();
+  AttackResult result;
+  result.mesh = {(input.mesh.vertices + s.offsets).detach(), input.mesh.faces};
+  result.appearance = s.appearance.clone();
+  result.curves = s.curves;
+  return result;
+}
+
+std::string curves_csv(const std::vector<AttackCurvePoint>& curves) {
+  std::string text = "step,loss,objective,rgb,chamfer,laplacian,edge,success\n";
+  char line[256];
+  for (const AttackCurvePoint& c : curves) {
+    std::snprintf(line, sizeof line, "%lld,%.6g,%.6g,%.6g,%.6g,%.6g,%.6g,%.4f\n",
+                  static_cast<long long>(c.step), c.loss, c.objective, c.rgb, c.chamfer,
+                  c.laplacian, c.edge, c.success);
+    text += line;
+  }
+  return text;
+}
+
+void save_attack(const AttackResult& r, const std::filesystem::path& path) {
+  const HashGridShape& h = r.appearance.shape;
+  std::vector<std::pair<std::string, Tensor>> tensors = {
+      {"vertices", r.mesh.vertices},
+      {"faces", r.mesh.faces},
+      {"curves", curves_tensor(r.curves)},
+      {"grid_shape", at::tensor({h.levels, h.base, h.finest, h.log2_size, h.features}, at::kLong)}};
+  const auto all = r.appearance.parameters();
+  for (size_t i = 0; i < all.size(); ++i) tensors.emplace_back("appearance." + std::to_string(i), all[i]);
+  save_tensors(path, tensors, {{"format", "tt3d attack"}});
+}
+
+AttackResult load_attack(const std::filesystem::path& path) {
+  const TensorFile file = load_tensors(path);
+  const auto find = [&](const std::string& name) {
+    const auto found = file.tensors.find(name);
+    if (found == file.tensors.end()) throw InputError(path, "holds no tensor '" + name + "'");
+    return found->second;
+  };
+  AttackResult r;
+  r.mesh = {find("vertices"), find("faces")};
+  const Tensor h = file.get("grid_shape", {5}, at::kLong);
+  const auto* n = h.const_data_ptr<int64_t>();
+  r.appearance.shape = {n[0], n[1], n[2], n[3], n[4]};
+  r.appearance.grid = find("appearance.0");
+  for (int i = 1; i <= 3; ++i) {
+    r.appearance.color_mlp.push_back(find("appearance." + std::to_string(i)));
+  }
+  r.curves = curves_from(find_curves(file));
+  return r;
+}
+
+}  // namespace tt3d

@@ -1,0 +1,251 @@
+#include <ATen/ATen.h>
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "tt3d/bake.h"
+#include "tt3d/report.h"
+#include "tt3d/run.h"
+
+namespace tt3d {
+namespace fs = std::filesystem;
+using at::Tensor;
+using nlohmann::json;
+
+namespace {
+
+/// The frame's cameras in the input's coordinates.
+ViewFrame world_frame(const Capture& capture) {
+  ViewFrame frame = capture_view_frame(capture);
+  const Normalization& n = capture.normalization;
+  for (int k = 0; k < 3; ++k) frame.centre[k] = frame.centre[k] / n.scale + n.centre[k];
+  frame.radius /= n.scale;
+  frame.distance /= n.scale;
+  return frame;
+}
+
+Tensor to_world(const Tensor& vertices, const Normalization& n) {
+  const Tensor centre = at::tensor({n.centre[0], n.centre[1], n.centre[2]}, at::kDouble);
+  return (vertices.to(at::kDouble) / n.scale + centre).to(at::kFloat).contiguous();
+}
+
+/// A camera of the normalised frame in the input's coordinates.
+Camera world_camera(Camera camera, const Normalization& n) {
+  for (int k = 0; k < 3; ++k) {
+    double& x = camera.camera_to_world[4 * k + 3];
+    x = x / n.scale + n.centre[k];
+  }
+  return camera;
+}
+
+void write_json(const fs::path& path, const json& j) { write_file_atomic(path, j.dump(1) + "\n"); }
+
+/// An attack's result that changed nothing: how the refined mesh is stored.
+AttackResult as_result(const RefinedMesh& refined) { return {refined.mesh, refined.appearance, {}}; }
+
+double mesh_psnr(const RefinedMesh& r, const Capture& capture, Progress& progress) {
+  const RenderMesh prepared(r.mesh.faces);
+  at::NoGradGuard guard;
+  return mean_psnr(capture.test, [&](const Camera& camera) {
+    return render_mesh(r.mesh.vertices, r.mesh.vertices, prepared, {camera},
+                       [&](const Tensor& x) { return r.appearance.color(x); })[0];
+  }, progress);
+}
+
+}  // namespace
+
+void Run::run_field(Progress& progress) {
+  const fs::path folder = folder_ / "field";
+  const Capture& photos = capture(progress);
+  const fs::path checkpoint = folder / "checkpoint.safetensors";
+  const RadianceField field = fit_field(photos, config_.field, config_.seed, checkpoint, progress);
+  const double step = ray_step(config_.field);
+  const double psnr = mean_psnr(
+      photos.test, [&](const Camera& camera) { return render_field(field, camera, step); }, progress);
+  field.save(folder / "field.safetensors");
+  write_json(folder / "metrics.json", {{"psnr_test", psnr}, {"test_views", photos.test.size()}});
+  fs::remove(checkpoint);
+}
+
+void Run::run_mesh(Progress& progress) {
+  const fs::path folder = folder_ / "mesh";
+  const Capture& photos = capture(progress);
+  const RadianceField field = RadianceField::load(folder_ / "field" / "field.safetensors");
+  const fs::path checkpoint = folder / "checkpoint.safetensors";
+  const TriMesh extracted = extract_mesh(field, config_.mesh, progress);
+  const RefinedMesh refined = refine_mesh(extracted, field.appearance, photos, config_.mesh,
+                                          config_.seed, checkpoint, progress);
+  const MeshFacts facts = inspect(refined.mesh);
+  const double psnr = mesh_psnr(refined, photos, progress);
+  save_attack(as_result(refined), folder / "mesh.safetensors");
+  write_ply(refined.mesh, photos.normalization, folder / "mesh.ply");
+  write_json(folder / "metrics.json", {{"psnr_test", psnr},
+                                       {"faces", facts.faces},
+                                       {"vertices", facts.vertices},
+                                       {"closed", facts.closed()},
+                                       {"non_manifold_edges", facts.non_manifold_edges},
+                                       {"components", facts.components},
+                                       {"euler", facts.euler}});
+  fs::remove(checkpoint);
+}
+
+void Run::run_attack_stage(Progress& progress) {
+  const fs::path folder = folder_ / "attack";
+  if (config_.attack_target.empty()) throw InputError("attack.target: expected a class");
+  const AttackResult clean = load_attack(folder_ / "mesh" / "mesh.safetensors");
+  AttackInput input;
+  input.mesh = clean.mesh;
+  input.appearance = clean.appearance;
+  input.frame = capture_view_frame(capture(progress));
+  for (const std::string& name : config_.attack_surrogates) {
+    const auto model = Classifier::load(name, {}, &progress);
+    input.targets.push_back(find_class(config_.attack_target, model->card()).index);
+    input_hashes_[model->card().name + ".pt2"] = model->card().sha256;
+    input.surrogates.push_back(model);
+  }
+  const fs::path checkpoint = folder / "checkpoint.safetensors";
+  const AttackResult result = run_attack(input, config_.attack, config_.seed, checkpoint, progress);
+  save_attack(result, folder / "attack.safetensors");
+  write_file_atomic(folder / "curves.csv", curves_csv(result.curves));
+  fs::remove(checkpoint);
+}
+
+void Run::run_bake(Progress& progress) {
+  const fs::path folder = folder_ / "asset";
+  const Capture& photos = capture(progress);
+  const Normalization& n = photos.normalization;
+  const AttackResult clean = load_attack(folder_ / "mesh" / "mesh.safetensors");
+  const AttackResult adversarial = load_attack(folder_ / "attack" / "attack.safetensors");
+  progress.begin("bake", 3, 0);
+  const Atlas atlas = unwrap(clean.mesh.vertices, clean.mesh.faces, config_.bake_resolution,
+                             config_.bake_padding, config_.unwrap_time_limit);
+  progress.update(1, {});
+  write_view_frame(world_frame(photos), folder);
+  int64_t done = 1;
+  for (const auto& [name, result] : {std::pair{"clean", &clean}, std::pair{"adversarial", &adversarial}}) {
+    progress.check();
+    TexturedMesh asset;
+    asset.vertices = to_world(result->mesh.vertices, n);
+    asset.faces = result->mesh.faces;
+    asset.uvs = atlas.uvs;
+    asset.uv_faces = atlas.uv_faces;
+    // Colours sit on the rest surface, which the clean mesh is.
+    asset.texture = bake_texture(atlas, clean.mesh.vertices, clean.mesh.faces,
+                                 [&](const Tensor& x) { return result->appearance.color(x); });
+    write_glb(asset, folder / (std::string(name) + ".glb"));
+    write_obj(asset, folder / (std::string(name) + ".obj"));
+    progress.update(++done, {});
+  }
+  progress.end();
+  const AssetRenderer renderer(load_asset(folder / "clean.glb"));
+  const double psnr = mean_psnr(photos.test, [&](const Camera& camera) {
+    return renderer.render({world_camera(camera, n)})[0];
+  }, progress);
+  json metrics = json::parse(read_file(folder_ / "mesh" / "metrics.json"));
+  metrics["psnr_test_baked"] = psnr;
+  write_json(folder_ / "mesh" / "metrics.json", metrics);
+}
+
+void Run::run_evaluate(Progress& progress) {
+  EvaluateOptions options;
+  options.asset = folder_ / "asset" / "adversarial.glb";
+  options.clean = folder_ / "asset" / "clean.glb";
+  options.target = config_.attack_target;
+  options.true_class = config_.true_class;
+  options.victims = config_.victims;
+  options.views = config_.evaluate_views;
+  options.view_distribution = config_.evaluate_distribution;
+  options.size = config_.evaluate_size;
+  options.background = config_.evaluate_background;
+  options.seed = config_.seed;
+  write_record(evaluate_asset(options, progress), folder_ / "eval" / "builtin.json");
+}
+
+namespace {
+
+/// Rows of eval/builtin.csv by victim and view.
+struct CsvRow {
+  std::string victim, top1_name;
+  int64_t view, top1;
+  double azimuth, elevation, p_top1;
+};
+
+/// Splits a CSV line, quotes respected.
+std::vector<std::string> csv_fields(const std::string& line) {
+  std::vector<std::string> fields(1);
+  bool quotes = false;
+  for (const char c : line) {
+    if (c == '"') quotes = !quotes;
+    else if (c == ',' && !quotes) fields.emplace_back();
+    else fields.back() += c;
+  }
+  return fields;
+}
+
+std::vector<CsvRow> read_rows(const fs::path& path) {
+  std::istringstream in(read_file(path));
+  std::vector<CsvRow> rows;
+  std::string line;
+  std::getline(in, line);
+  while (std::getline(in, line)) {
+    const auto f = csv_fields(line);
+    rows.push_back({f.at(0), f.at(7), std::stoll(f.at(1)), std::stoll(f.at(6)), std::stod(f.at(2)),
+                    std::stod(f.at(3)), std::stod(f.at(8))});
+  }
+  return rows;
+}
+
+/// The contact sheet: the first views of the evaluation, drawn again, with the recorded answers.
+std::vector<ReportView> report_views(const fs::path& run, const json& record, int64_t count) {
+  const fs::path clean_path = run / "asset" / "clean.glb";
+  const TexturedMesh clean = load_asset(clean_path), adversarial = load_asset(run / "asset" / "adversarial.glb");
+  const AssetRenderer clean_renderer(clean), adversarial_renderer(adversarial);
+  const auto rows = read_rows(run / "eval" / "builtin.csv");
+  const auto views = evaluation_views(record["views"]["distribution"], record["views"]["seed"], count, 200,
+                                      asset_view_frame(adversarial, run / "asset" / "adversarial.glb"));
+  std::vector<ReportView> out;
+  const auto picture = [&](const AssetRenderer& renderer, const Camera& camera) {
+    return to_uint8(over_background(renderer.render({camera})[0], at::ones({3})).contiguous());
+  };
+  for (int64_t i = 0; i < count; ++i) {
+    ReportView view;
+    view.adversarial = picture(adversarial_renderer, views[i].camera);
+    view.clean = picture(clean_renderer, views[i].camera);
+    view.azimuth_deg = views[i].azimuth_deg;
+    view.elevation_deg = views[i].elevation_deg;
+    for (const CsvRow& row : rows) {
+      if (row.view != i) continue;
+      view.answers.push_back({row.victim, row.top1_name, row.p_top1,
+                              row.top1 == record["target"]["index"].get<int64_t>()});
+    }
+    out.push_back(std::move(view));
+  }
+  return out;
+}
+
+}  // namespace
+
+void Run::run_report(Progress& progress) {
+  progress.begin("report", 1, 0);
+  ReportInput input;
+  input.record_json = read_file(folder_ / "eval" / "builtin.json");
+  const json record = json::parse(input.record_json);
+  const std::string target = record["target"]["name"];
+  const std::string object = record["true_class"].is_null() ? "object" : record["true_class"]["name"].get<std::string>();
+  input.title = object + " taken for " + target;
+  input.clean_glb = folder_ / "asset" / "clean.glb";
+  input.adversarial_glb = folder_ / "asset" / "adversarial.glb";
+  input.curves_csv = read_file(folder_ / "attack" / "curves.csv");
+  input.config_toml = config_toml(config_);
+  save();   // stages so far
+  input.run_json = read_file(folder_ / "run.json");
+  input.field_metrics_json = read_file(folder_ / "field" / "metrics.json");
+  input.mesh_metrics_json = read_file(folder_ / "mesh" / "metrics.json");
+  constexpr int64_t kSheet = 12;
+  input.views = report_views(folder_, record, std::min(kSheet, record["views"]["count"].get<int64_t>()));
+  write_report(input, folder_ / "report.html");
+  progress.update(1, {});
+  progress.end();
+}
+
+}  // namespace tt3d
