@@ -1,0 +1,124 @@
+#include "html.h"
+
+#include <ATen/ATen.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "tt3d/capture.h"
+#include "tt3d/core.h"
+
+namespace tt3d::report {
+
+std::string escape(std::string_view text) {
+  std::string out;
+  out.reserve(text.size());
+  for (const char c : text) {
+    switch (c) {
+      case '&':
+        out += "&amp;";
+        break;
+      case '<':
+        out += "&lt;";
+        break;
+      case '>':
+        out += "&gt;";
+        break;
+      case '"':
+        out += "&quot;";
+        break;
+      case '\'':
+        out += "&#39;";
+        break;
+      default:
+        out += c;
+    }
+  }
+  return out;
+}
+
+std::string fill(std::string_view text, const std::map<std::string, std::string>& values) {
+  std::string out;
+  size_t at = 0;
+  for (size_t open = text.find("{{"); open != text.npos; open = text.find("{{", at)) {
+    const size_t close = text.find("}}", open);
+    if (close == text.npos) break;
+    const std::string key(text.substr(open + 2, close - open - 2));
+    const auto value = values.find(key);
+    if (value == values.end()) throw std::logic_error("report template: no value for " + key);
+    out.append(text.substr(at, open - at)).append(value->second);
+    at = close + 2;
+  }
+  return out.append(text.substr(at));
+}
+
+std::string section(std::string_view id, std::string_view title, const std::string& body) {
+  if (body.empty()) return "";
+  return fmt::format(
+      "<section id=\"{0}\" aria-labelledby=\"{0}-title\">\n"
+      "<h2 id=\"{0}-title\">{1}</h2>\n{2}</section>\n",
+      id, escape(title), body);
+}
+
+std::string jpeg_address(const at::Tensor& image, int64_t max_size, int quality) {
+  if (!image.defined() || image.dim() != 3 || image.size(2) != 3 || image.numel() == 0 ||
+      image.scalar_type() != at::kByte) {
+    throw InputError("report: pictures are [H,W,3] uint8 and not empty");
+  }
+  const int64_t longer = std::max(image.size(0), image.size(1));
+  at::Tensor small = image.cpu();
+  if (longer > max_size) {
+    const auto side = [&](int64_t n) { return std::max<int64_t>(1, n * max_size / longer); };
+    const at::Tensor planes = small.to(at::kFloat).div(255).permute({2, 0, 1}).contiguous();
+    small = to_uint8(at::adaptive_avg_pool2d(planes, {side(image.size(0)), side(image.size(1))})
+                         .permute({1, 2, 0})
+                         .contiguous());
+  }
+  return "data:image/jpeg;base64," + base64(encode_jpeg(small.contiguous(), quality));
+}
+
+std::string percent(double share) { return fmt::format("{:.1f}\u00a0%", 100 * share); }
+
+std::string thousands(int64_t number) {
+  std::string digits = std::to_string(number);
+  const auto first = static_cast<int64_t>(number < 0 ? 1 : 0);
+  for (int64_t at = static_cast<int64_t>(digits.size()) - 3; at > first; at -= 3) {
+    digits.insert(static_cast<size_t>(at), 1, ',');
+  }
+  return digits;
+}
+
+std::string duration(double seconds) {
+  if (seconds < 60) return fmt::format("{:.1f}\u00a0s", seconds);
+  const auto whole = static_cast<int64_t>(std::llround(seconds));
+  if (whole < 3600) return fmt::format("{}\u00a0min {:02}\u00a0s", whole / 60, whole % 60);
+  return fmt::format("{}\u00a0h {:02}\u00a0min", whole / 3600, whole % 3600 / 60);
+}
+
+Json parse_json(const std::string& text, const std::string& name) {
+  if (text.empty()) return nullptr;
+  try {
+    return Json::parse(text);
+  } catch (const Json::parse_error& error) {
+    throw InputError("report: " + name + " is not JSON: " + error.what());
+  }
+}
+
+Json member(const Json& json, const std::string& key) {
+  return json.is_object() && json.contains(key) ? json.at(key) : Json();
+}
+
+std::optional<double> number(const Json& json, const std::string& key) {
+  const Json value = member(json, key);
+  if (!value.is_number()) return std::nullopt;
+  return value.get<double>();
+}
+
+std::string text(const Json& json, const std::string& key) {
+  const Json value = member(json, key);
+  return value.is_string() ? value.get<std::string>() : "";
+}
+
+}  // namespace tt3d::report

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <string_view>
+
+/// Small helpers to write HTML.
+namespace tt3d::report {
+
+using Json = nlohmann::ordered_json;
+
+/// Text as HTML: & < > " ' become entities; works in content and in quoted attributes.
+[[nodiscard]] std::string escape(std::string_view text);
+
+/// Replaces each {{key}} of a template by its value. Values are HTML and are not looked into.
+/// Throws std::logic_error for a key without a value.
+[[nodiscard]] std::string fill(std::string_view text,
+                               const std::map<std::string, std::string>& values);
+
+/// <section id="..."><h2>title</h2>body</section>, or "" for an empty body.
+[[nodiscard]] std::string section(std::string_view id, std::string_view title,
+                                  const std::string& body);
+
+/// Picture [H,W,3] uint8 with the longer side at most `max_size`, as a data: address of a JPEG.
+/// Throws InputError for another shape or type.
+[[nodiscard]] std::string jpeg_address(const at::Tensor& image, int64_t max_size, int quality);
+
+/// "93.0 %" for 0.93.
+[[nodiscard]] std::string percent(double share);
+/// 12345 as "12,345".
+[[nodiscard]] std::string thousands(int64_t number);
+/// Seconds as "1.2 s", "4 min 05 s" or "2 h 05 min".
+[[nodiscard]] std::string duration(double seconds);
+
+/// Parses JSON; an empty text is null. Throws InputError that starts with `name`.
+[[nodiscard]] Json parse_json(const std::string& text, const std::string& name);
+/// Member of an object, or null.
+[[nodiscard]] Json member(const Json& json, const std::string& key);
+/// Number or text at a key; nothing or "" when absent or of another type.
+[[nodiscard]] std::optional<double> number(const Json& json, const std::string& key);
+[[nodiscard]] std::string text(const Json& json, const std::string& key);
+
+}  // namespace tt3d::report
