@@ -170,7 +170,10 @@ std::shared_ptr<Pt2Classifier> build(const fs::path& path, const CardFile& file,
                                      const ModelLimits& limits, const ModelOptions& options) {
   Graph graph = model::read_graph(model::Archive(path, limits), limits);
   check_against_card(graph, file.card);
-  if (options.fold_batch_norm) model::fold_batch_norms(graph);
+  if (options.fold_batch_norm) {
+    model::fold_batch_norms(graph);
+    model::simplify_batch_norms(graph);
+  }
   const bool channels_last = options.channels_last && model::use_channels_last(graph);
   model::find_last_uses(graph);
   auto classifier =
@@ -181,12 +184,17 @@ std::shared_ptr<Pt2Classifier> build(const fs::path& path, const CardFile& file,
   return classifier;
 }
 
+std::string describe(const ProbeReport& report) {
+  return fmt::format(
+      "logits off by {:.2g} of their range, cosine of the input gradient {:.6f}, "
+      "norm ratio {:.4f}",
+      report.logit_error, report.gradient_cosine, report.gradient_ratio);
+}
+
 [[noreturn]] void throw_probe(const fs::path& path, const ProbeReport& report) {
-  throw InputError(
-      path, fmt::format("the probe of its card disagrees (logits off by {:.2g} of their range, "
-                        "cosine of the input gradient {:.6f}, norm ratio {:.4f}); the card belongs "
-                        "to another model, export it again",
-                        report.logit_error, report.gradient_cosine, report.gradient_ratio));
+  throw InputError(path, fmt::format("the probe of its card disagrees ({}); the card belongs to "
+                                     "another model, export it again",
+                                     describe(report)));
 }
 
 std::shared_ptr<Classifier> load_checked(const fs::path& path, const CardFile& file,
@@ -201,9 +209,8 @@ std::shared_ptr<Classifier> load_checked(const fs::path& path, const CardFile& f
   const auto plain = build(path, file, limits, {false, false, true});
   if (!model::probe_holds(plain->probe())) throw_probe(path, plain->probe());
   if (warn != nullptr) {
-    warn->note(path.string() +
-               ": runs without batch-norm folding and channels-last, which change "
-               "its answers");
+    warn->note(path.string() + ": runs without batch-norm folding and channels-last, with which " +
+               describe(classifier->probe()));
   }
   return plain;
 }

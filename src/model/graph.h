@@ -55,6 +55,7 @@ struct Step {
 /// A classifier's graph: a list of steps in order of execution.
 struct Graph {
   std::vector<std::string> names;        ///< by slot
+  std::map<Slot, int64_t> ranks;         ///< number of dimensions, where the file states it
   std::map<Slot, at::Tensor> constants;  ///< parameters, buffers, tensor constants
   std::vector<Step> steps;
   Slot input = -1;   ///< float32 [N,3,H,W], normalised

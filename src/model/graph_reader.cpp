@@ -36,6 +36,7 @@ class GraphReader {
   void read_step_outputs(const Json& node, Step& step);
   Output read_output(const Json& output);
   void read_output_spec();
+  void read_ranks();
   void check_input_shape();
   void check_output_shape();
   void read_batch_range(const Json& size);
@@ -271,6 +272,14 @@ void GraphReader::read_batch_range(const Json& size) {
   if (graph_.max_batch < graph_.min_batch) throw Malformed("allows no batch size");
 }
 
+void GraphReader::read_ranks() {
+  for (const auto& [name, meta] : json_graph_->at("tensor_values").items()) {
+    const auto slot = slots_.find(name);
+    if (slot == slots_.end()) continue;
+    graph_.ranks[slot->second] = static_cast<int64_t>(meta.at("sizes").size());
+  }
+}
+
 void GraphReader::check_input_shape() {
   const Json& meta = json_graph_->at("tensor_values").at(input_name_);
   const Json& sizes = meta.at("sizes");
@@ -297,6 +306,7 @@ Graph GraphReader::read() {
   read_inputs();
   read_nodes();
   read_output_spec();
+  read_ranks();
   check_input_shape();
   check_output_shape();
   check_weights_are_read_only(graph_);

@@ -205,6 +205,33 @@ int fold_batch_norms(Graph& graph) {
   return static_cast<int>(folded.size());
 }
 
+int simplify_batch_norms(Graph& graph) {
+  int count = 0;
+  for (Step& step : graph.steps) {
+    if (!step.op || !is_batch_norm(step)) continue;
+    const Input input = argument(step, "input");
+    const auto rank = graph.ranks.find(input.slot);
+    if (input.kind != Input::Kind::kSlot || rank == graph.ranks.end() || rank->second < 2) continue;
+    const Affine affine = affine_of(graph, step);
+    if (!affine.scale.defined()) continue;
+    std::vector<int64_t> shape(static_cast<size_t>(rank->second) - 1, 1);
+    shape[0] = -1;
+    const auto constant = [&](const char* suffix, const at::Tensor& values) {
+      const at::Tensor tensor = values.to(at::kFloat).reshape(shape);
+      return slot_input(add_constant(graph, step.name + suffix, tensor));
+    };
+    step.op = find_operator("torch.ops.aten.addcmul.default");
+    step.target = step.op->schema().name();
+    const Input shift = constant(".shift", affine.shift), scale = constant(".scale", affine.scale);
+    step.inputs = {shift, input, scale, Input()};
+    step.inputs.back().constant = int64_t{1};
+    step.outputs.resize(1);
+    ++count;
+  }
+  drop_unused_constants(graph);
+  return count;
+}
+
 bool use_channels_last(Graph& graph) {
   const auto is_conv2d = [](const Step& step) { return step.target == "aten::conv2d"; };
   if (std::none_of(graph.steps.begin(), graph.steps.end(), is_conv2d)) return false;

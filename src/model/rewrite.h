@@ -8,6 +8,12 @@ namespace tt3d::model {
 /// result, into the convolution's weight and bias (computed in float64). Returns how many.
 int fold_batch_norms(Graph& graph);
 
+/// Turns the batch normalisations that remain into one multiply-add with constants. That is less
+/// work, and right: the backward of torch's batch_norm on the CPU (2.11) reads a gradient in the
+/// wrong order at batch 1 when its strides could be channels-last (docs/model.md, "Caveats").
+/// Returns how many.
+int simplify_batch_norms(Graph& graph);
+
 /// Stores convolution weights channels-last and turns `view` into `reshape`, which holds for any
 /// memory layout. Does nothing and returns false where the graph depends on the layout of its
 /// intermediate results (writes through views) or has no 2D convolutions.

@@ -55,6 +55,24 @@ TEST(Classifier, ProbesHoldWithEveryOption) {
   }
 }
 
+/// Central differences along the gradient of one image, where torch's batch_norm alone is wrong.
+TEST(Classifier, GradientThroughBatchNormAtBatchOne) {
+  const auto model = Classifier::load(toy("toy_norm"));
+  EXPECT_GT(model->probe().gradient_cosine, 0.99999);
+  at::Tensor images = at::rand({1, 3, 16, 16}).requires_grad_(true);
+  const at::Tensor weight = at::randn({1, 7});
+  const auto gradient =
+      torch::autograd::grad({(model->logits(images) * weight).sum()}, {images})[0];
+  const at::NoGradGuard no_gradients;
+  const at::Tensor step = gradient / gradient.norm() * 0.003;
+  const double change = ((model->logits(images + step) - model->logits(images - step)) * weight)
+                            .to(at::kDouble)
+                            .sum()
+                            .item<double>();
+  const double expected = 0.006 * gradient.norm().item<double>();
+  EXPECT_NEAR(change, expected, 0.05 * expected);
+}
+
 TEST(Classifier, GradientAgainstCentralDifferences) {
   const auto model = Classifier::load(toy("toy_vit"));
   at::Tensor images = at::rand({2, 3, 16, 16}).requires_grad_(true);

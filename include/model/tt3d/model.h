@@ -38,7 +38,7 @@ struct ModelLimits {
 /// How a graph is run. The defaults are the fast way; the probe of the card is checked with them,
 /// and a model whose probe only holds without them is run without.
 struct ModelOptions {
-  bool fold_batch_norm = true;  ///< fold batch normalisation into the convolution before it
+  bool fold_batch_norm = true;  ///< into the convolution before it, else a multiply-add
   bool channels_last = true;    ///< run convolutions channels-last where the graph allows it
   bool check_probe = true;      ///< compare with the card's probe on load
 };
