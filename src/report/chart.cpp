@@ -13,7 +13,7 @@ namespace {
 
 // Drawing area in SVG units; the picture scales with the page.
 constexpr double kWidth = 520, kHeight = 300;
-constexpr double kLeft = 64, kRight = 14, kTop = 14, kBottom = 46;
+constexpr double kLeft = 78, kRight = 14, kTop = 14, kBottom = 46;
 constexpr size_t kMaxPoints = 400;
 
 /// Interval of an axis in drawn units: values, or their decimal logarithm.
@@ -72,21 +72,38 @@ Frame frame_of(const std::vector<Series>& lines, const Chart& chart) {
   if (chart.y_range) frame.y = {chart.y_range->first, chart.y_range->second};
   frame.x.widen();
   frame.y.widen();
+  if (chart.logarithmic) {  // Lines keep off the frame.
+    const double margin = 0.04 * (frame.y.high - frame.y.low);
+    frame.y = {frame.y.low - margin, frame.y.high + margin};
+  }
   if (!chart.y_range && !chart.logarithmic && frame.y.low > 0 && frame.y.low < 0.5 * frame.y.high) {
     frame.y.low = 0;
   }
   return frame;
 }
 
+/// Decimal logarithms of the powers of ten in a range of logarithms; of 1, 2, 5 times these where
+/// that would be few.
+std::vector<double> decade_ticks(const Range& range) {
+  const double span = range.high - range.low;
+  const std::vector<double> factors =
+      span < 2.2 ? std::vector<double>{1, 2, 5} : std::vector<double>{1};
+  const double stride = std::max(1.0, std::ceil(span / 6));
+  std::vector<double> ticks;
+  for (double decade = std::floor(range.low); decade <= range.high; decade += stride) {
+    for (const double factor : factors) {
+      const double tick = decade + std::log10(factor);
+      if (tick >= range.low && tick <= range.high) ticks.push_back(tick);
+    }
+  }
+  return ticks;
+}
+
 /// Ticks of the y axis in drawn units.
 std::vector<double> y_ticks(const Frame& frame) {
-  std::vector<double> ticks = round_ticks(frame.y.low, frame.y.high, 5);
-  if (!frame.logarithmic) return ticks;
-  // Whole decades where the axis spans some, else what there is.
-  std::vector<double> decades;
-  const double stride = std::max(1.0, std::ceil((frame.y.high - frame.y.low) / 6));
-  for (double d = std::ceil(frame.y.low); d <= frame.y.high; d += stride) decades.push_back(d);
-  return decades.size() >= 2 ? decades : ticks;
+  std::vector<double> ticks;
+  if (frame.logarithmic) ticks = decade_ticks(frame.y);
+  return ticks.size() >= 2 ? ticks : round_ticks(frame.y.low, frame.y.high, 5);
 }
 
 std::string tick_text(double drawn, const Chart& chart) {
@@ -121,7 +138,7 @@ std::string axes(const Frame& frame, const Chart& chart) {
       "</text>\n",
       (kLeft + kWidth - kRight) / 2, kHeight - 8, escape(chart.x_label));
   svg += fmt::format(
-      "<text class=\"label\" transform=\"translate(14 {:.0f}) rotate(-90)\" "
+      "<text class=\"label\" transform=\"translate(13 {:.0f}) rotate(-90)\" "
       "text-anchor=\"middle\">{}</text>\n",
       (kTop + base) / 2, escape(chart.y_label));
   return svg;

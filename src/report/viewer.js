@@ -3,7 +3,7 @@
 (() => {
   const TURN_PER_SECOND = 0.5;   // radians
   const FIELD_OF_VIEW = 0.6;     // radians, vertical
-  const START = { azimuth: 0.9, elevation: 0.3, distance: 3.9 };
+  const START = { azimuth: 0.9, elevation: 0.3, distance: 3.0 };
   const VERTEX_SHADER = `#version 300 es
     in vec3 position; in vec2 uv;
     uniform vec3 low, size; uniform mat4 toClip;
@@ -118,6 +118,13 @@
     return covered * 4 / pixels.length;
   }
 
+  // Marks the page once the first frame is there; #measure at the address adds the coverage.
+  function announce(uploaded) {
+    const mark = document.documentElement.dataset;
+    if (location.hash === "#measure") mark.coverage = uploaded.map((one) => coverage(one).toFixed(3)).join(" ");
+    mark.viewer = "drawn";
+  }
+
   function turn(azimuth, elevation) {
     view.azimuth += azimuth;
     view.elevation = Math.max(-1.5, Math.min(1.5, view.elevation + elevation));
@@ -172,10 +179,7 @@
     function frame(now) {
       if (view.turning && before !== null) turn(TURN_PER_SECOND * Math.min(now - before, 100) / 1000, 0);
       if (view.changed) uploaded.forEach((one) => draw(one, centre, radius));
-      if (before === null) {
-        document.documentElement.dataset.coverage = uploaded.map((one) => coverage(one).toFixed(3)).join(" ");
-        document.documentElement.dataset.viewer = "drawn";
-      }
+      if (before === null) announce(uploaded);
       view.changed = false;
       before = now;
       requestAnimationFrame(frame);

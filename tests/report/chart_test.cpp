@@ -33,9 +33,16 @@ TEST(Chart, ThinningKeepsTheMean) {
 TEST(Chart, PointsLieWhereTheAxesSay) {
   const Chart chart{"t", "x", "y", {{"s", {0, 10}, {0, 1}}}, std::pair{0.0, 1.0}, false, true};
   const std::string svg = chart_figure(chart);
-  EXPECT_NE(svg.find("d=\"M64.0 254.0L506.0 14.0\""), std::string::npos) << svg;
+  EXPECT_NE(svg.find("d=\"M78.0 254.0L506.0 14.0\""), std::string::npos) << svg;
   EXPECT_NE(svg.find(">100\u00a0%</text>"), std::string::npos);
   EXPECT_NE(svg.find("from 0.0\u00a0% to 100.0\u00a0%"), std::string::npos);
+}
+
+TEST(Chart, LogarithmicAxesHaveRoundTicks) {
+  const std::string svg = chart_figure({"t", "x", "y", {{"s", {0, 1}, {0.3, 7}}}, {}, true, false});
+  for (const char* tick : {">0.5</text>", ">1</text>", ">2</text>", ">5</text>"}) {
+    EXPECT_NE(svg.find(tick), std::string::npos) << tick;
+  }
 }
 
 TEST(Chart, WithoutPointsThereIsNone) {
