@@ -45,7 +45,7 @@ std::string quoted(const std::string& name) { return "\u201c" + escape(name) + "
 
 /// The rate with its interval drawn below it.
 std::string rate_cell(const VictimFigures& victim) {
-  std::string html = "<td><b>" + percent_or_none(victim.asr) + "</b>";
+  std::string html = "<td data-label=\"ASR\"><b>" + percent_or_none(victim.asr) + "</b>";
   if (victim.asr && victim.asr_low && victim.asr_high) {
     html += fmt::format(
         " <span class=\"interval\">{:.1f}\u2013{:.1f}</span><svg class=\"rate\" viewBox=\"0 0 100 "
@@ -64,9 +64,12 @@ std::string victim_row(const VictimFigures& victim) {
     on_correct +=
         fmt::format(" <span class=\"interval\">of {:.0f}</span>", *victim.asr_on_correct_n);
   }
+  // data-label is the column's name where a narrow page stacks the cells.
   return fmt::format(
       "<tr><th scope=\"row\">{}</th><td><span class=\"role {}\">{}</span></td>{}"
-      "<td>{}</td><td>{}</td><td>{}</td></tr>\n",
+      "<td data-label=\"clean accuracy\">{}</td>"
+      "<td data-label=\"ASR where right when clean\">{}</td>"
+      "<td data-label=\"mean target probability\">{}</td></tr>\n",
       escape(victim.name), victim.surrogate ? "seen" : "unseen",
       victim.surrogate ? "surrogate" : "unseen", rate_cell(victim),
       percent_or_none(victim.clean_accuracy), on_correct,
@@ -192,7 +195,7 @@ std::string result_table(const RunFigures& figures) {
     note += ".";
   }
   return "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Result table\">"
-         "<table><thead><tr><th scope=\"col\">model</th>"
+         "<table class=\"results\"><thead><tr><th scope=\"col\">model</th>"
          "<th scope=\"col\">role</th><th scope=\"col\">ASR</th>"
          "<th scope=\"col\">clean accuracy</th><th scope=\"col\">ASR where right when clean</th>"
          "<th scope=\"col\">mean target probability</th></tr></thead>\n<tbody>" +

@@ -106,8 +106,11 @@ std::string stage_table(const Json& run) {
 }
 
 std::string provenance(const Json& run, const Json& record) {
-  const std::string recorded = text(record, "tt3d_version");
-  std::string rows = fact_rows("tt3d", recorded.empty() ? kVersion : recorded);
+  std::string rows;
+  if (text(member(run, "versions"), "tt3d").empty()) {
+    const std::string recorded = text(record, "tt3d_version");
+    rows += fact_rows("tt3d", recorded.empty() ? kVersion : recorded);
+  }
   for (const char* key : {"seed", "created", "started", "versions", "device", "threads"}) {
     rows += fact_rows(std::string(key) == "versions" ? "" : key, member(run, key));
   }
