@@ -122,7 +122,10 @@ EvalRecord evaluate_asset(const EvaluateOptions& options, Progress& progress) {
       record.true_class = find_class(options.true_class, models.back()->card());
     }
     trues.push_back(record.true_class.index);
-    record.victims.push_back({models.back()->card().name, models.back()->card().sha256});
+    VictimRecord victim;
+    victim.name = models.back()->card().name;
+    victim.sha256 = models.back()->card().sha256;
+    record.victims.push_back(victim);
   }
   record.views = evaluation_views(options.view_distribution, options.seed, options.views,
                                   options.size, asset_view_frame(asset, options.asset));

@@ -44,7 +44,7 @@ Tensor grid_positions(const Tensor& index, int64_t resolution) {
   return points;
 }
 
-/// log(density / iso) at the grid points, bounded, smoothed by one binomial pass: the density
+/// log(density / iso) at the grid points, bounded, smoothed by binomial passes: the density
 /// spans many decades, and noise of one cell makes handles that nothing later removes.
 Tensor log_density_grid(const RadianceField& f, const MeshOptions& options, Progress& progress) {
   at::NoGradGuard guard;
@@ -65,7 +65,9 @@ Tensor log_density_grid(const RadianceField& f, const MeshOptions& options, Prog
   constexpr double kBound = 4;
   Tensor values = ((density + 1e-9) / iso).log_().clamp_(-kBound, kBound).view({1, 1, g, g, g});
   const Tensor kernel = at::tensor({0.25F, 0.5F, 0.25F});
-  for (int axis = 0; axis < 3; ++axis) {
+  constexpr int kPasses = 2;
+  for (int pass = 0; pass < 3 * kPasses; ++pass) {
+    const int axis = pass % 3;
     std::vector<int64_t> shape = {1, 1, 1, 1, 1}, pad = {0, 0, 0};
     shape[2 + axis] = 3;
     pad[axis] = 1;

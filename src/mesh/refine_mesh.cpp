@@ -205,7 +205,8 @@ void remesh(const Capture& capture, const std::vector<Tensor>& targets,
   const double kept = 1 - options.decimate_share * (1 - options.decimate_ratio);
   if (kept * static_cast<double>(s.mesh.faces.size(0)) >= static_cast<double>(options.min_faces)) {
     const Tensor best = extreme_faces(errors(), options.decimate_share, false);
-    s.mesh = decimate(s.mesh, best, options.decimate_ratio);
+    s.mesh = drop_small_components(decimate(s.mesh, best, options.decimate_ratio),
+                                   options.min_component);
     reset_offsets(s);
   }
   const Tensor worst = extreme_faces(errors(), options.split_share, true);

@@ -212,4 +212,40 @@ TriMesh repair(const TriMesh& m) {
   return mesh::compact(points, faces);
 }
 
+TriMesh close_holes(const TriMesh& m) {
+  auto points = mesh::points_of(m);
+  auto faces = mesh::faces_of(m);
+  // A hole's rim runs against its faces' free sides: next vertex by vertex.
+  std::map<int32_t, int32_t> next;
+  for (const auto& [key, list] : sides_by_edge(faces)) {
+    if (list.size() != 1) continue;
+    const Face& f = faces[list[0].face];
+    next[f[(list[0].k + 1) % 3]] = f[list[0].k];
+  }
+  while (!next.empty()) {
+    std::vector<int32_t> rim;
+    for (int32_t v = next.begin()->first; next.contains(v);) {
+      rim.push_back(v);
+      const int32_t following = next[v];
+      next.erase(v);
+      v = following;
+    }
+    if (rim.size() < 3) continue;
+    if (rim.size() == 3) {
+      faces.push_back({rim[0], rim[1], rim[2]});
+      continue;
+    }
+    Point middle = {0, 0, 0};
+    for (const int32_t v : rim) {
+      for (int k = 0; k < 3; ++k) middle[k] += points[v][k] / static_cast<float>(rim.size());
+    }
+    const auto hub = static_cast<int32_t>(points.size());
+    points.push_back(middle);
+    for (size_t k = 0; k < rim.size(); ++k) {
+      faces.push_back({hub, rim[k], rim[(k + 1) % rim.size()]});
+    }
+  }
+  return repair(mesh::make_mesh(points, faces));
+}
+
 }  // namespace tt3d

@@ -51,8 +51,8 @@ TriMesh simplify(const TriMesh& m, int64_t target_faces) {
   const auto points = mesh::points_of(m);
   const auto faces = mesh::faces_of(m);
   if (static_cast<int64_t>(faces.size()) <= target_faces) return m;
-  return repair(mesh::make_mesh(
-      points, simplified_faces(points, faces, static_cast<size_t>(target_faces), 0)));
+  return close_holes(repair(mesh::make_mesh(
+      points, simplified_faces(points, faces, static_cast<size_t>(target_faces), 0))));
 }
 
 TriMesh decimate(const TriMesh& m, const at::Tensor& selected, double ratio) {
@@ -62,7 +62,7 @@ TriMesh decimate(const TriMesh& m, const at::Tensor& selected, double ratio) {
   const auto target = static_cast<size_t>(static_cast<double>(chosen.size()) * ratio);
   const auto thinned = simplified_faces(points, chosen, target, meshopt_SimplifyLockBorder);
   kept.insert(kept.end(), thinned.begin(), thinned.end());
-  return repair(mesh::make_mesh(points, kept));
+  return close_holes(repair(mesh::make_mesh(points, kept)));
 }
 
 TriMesh subdivide(const TriMesh& m, const at::Tensor& selected, double min_edge) {

@@ -10,11 +10,13 @@
 namespace tt3d {
 namespace {
 
+using Read = std::function<std::string(const toml::node&)>;
+
 /// A key bound to its place in a configuration: how to read it and how to write it.
 struct Binding {
   ConfigKey key;
   /// Returns "" or what was expected.
-  std::function<std::string(const toml::node&)> read;
+  Read read;
 };
 
 std::string number_text(double x) {
@@ -22,7 +24,7 @@ std::string number_text(double x) {
   return text.find_first_of(".en") == std::string::npos ? text + ".0" : text;
 }
 
-std::string quoted(const std::string& text) {
+std::string toml_string(const std::string& text) {
   std::string out = "\"";
   for (const char c : text) {
     if (c == '"' || c == '\\') out += '\\';
@@ -36,7 +38,7 @@ std::string list_text(const std::vector<T>& list) {
   std::string out = "[";
   for (const T& item : list) {
     if (out.size() > 1) out += ", ";
-    if constexpr (std::is_same_v<T, std::string>) out += quoted(item);
+    if constexpr (std::is_same_v<T, std::string>) out += toml_string(item);
     else out += number_text(item);
   }
   return out + "]";
@@ -61,7 +63,7 @@ class Schema {
   void integer(const std::string& name, T& target, double low, double high,
                const std::string& unit, const std::string& meaning) {
     const std::string range = fmt::format("{:.0f} to {:.0f}", low, high);
-    add({name, meaning, unit, range, fmt::format("{}", target)},
+    add(ConfigKey{name, meaning, unit, range, fmt::format("{}", target)},
         [&target, low, high, range](const toml::node& node) -> std::string {
           const auto value = node.is_integer() ? node.value<int64_t>() : std::nullopt;
           if (!value) return "expected an integer";
@@ -76,7 +78,7 @@ class Schema {
   void number(const std::string& name, double& target, double low, double high,
               const std::string& unit, const std::string& meaning) {
     const std::string range = fmt::format("{} to {}", low, high);
-    add({name, meaning, unit, range, number_text(target)},
+    add(ConfigKey{name, meaning, unit, range, number_text(target)},
         [&target, low, high, range](const toml::node& node) -> std::string {
           const auto value = node.is_number() ? node.value<double>() : std::nullopt;
           if (!value) return "expected a number";
@@ -91,7 +93,7 @@ class Schema {
             const std::string& meaning) {
     std::string range;
     for (const std::string& c : choices) range += (range.empty() ? "" : ", ") + c;
-    add({name, meaning, "", range, quoted(target)},
+    add(ConfigKey{name, meaning, "", range, toml_string(target)},
         [&target, choices, range](const toml::node& node) -> std::string {
           const auto value = node.is_string() ? node.value<std::string>() : std::nullopt;
           if (!value) return "expected a string";
@@ -105,7 +107,7 @@ class Schema {
   }
 
   void path(const std::string& name, std::filesystem::path& target, const std::string& meaning) {
-    add({name, meaning, "path", "", quoted(target.string())},
+    add(ConfigKey{name, meaning, "path", "", toml_string(target.string())},
         [&target](const toml::node& node) -> std::string {
           const auto value = node.is_string() ? node.value<std::string>() : std::nullopt;
           if (!value) return "expected a string";
@@ -115,7 +117,7 @@ class Schema {
   }
 
   void texts(const std::string& name, std::vector<std::string>& target, const std::string& meaning) {
-    add({name, meaning, "", "list of strings", list_text(target)},
+    add(ConfigKey{name, meaning, "", "list of strings", list_text(target)},
         [&target](const toml::node& node) -> std::string {
           const toml::array* array = node.as_array();
           if (!array) return "expected a list of strings";
@@ -131,7 +133,7 @@ class Schema {
   }
 
   void shares(const std::string& name, std::vector<double>& target, const std::string& meaning) {
-    add({name, meaning, "", "list of numbers from 0 to 1", list_text(target)},
+    add(ConfigKey{name, meaning, "", "list of numbers from 0 to 1", list_text(target)},
         [&target](const toml::node& node) -> std::string {
           const toml::array* array = node.as_array();
           if (!array) return "expected a list of numbers";
@@ -146,7 +148,7 @@ class Schema {
         });
   }
 
-  void add(ConfigKey key, std::function<std::string(const toml::node&)> read) {
+  void add(ConfigKey key, Read read) {
     bindings.push_back({std::move(key), std::move(read)});
   }
 

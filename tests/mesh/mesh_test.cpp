@@ -112,6 +112,17 @@ TEST(Repair, TwoTetrahedraAtAnEdgeComeApart) {
   EXPECT_EQ(facts.faces, 8);
 }
 
+TEST(CloseHoles, MissingFacesComeBack) {
+  const testing::Shape s = testing::sphere(2);
+  Tensor keep = at::ones({s.faces.size(0)}, at::kBool);
+  for (const int64_t gone : {3, 40, 41, 42, 43}) keep[gone].fill_(false);
+  const TriMesh open = {s.vertices, s.faces.index_select(0, keep.nonzero().flatten())};
+  EXPECT_FALSE(inspect(open).closed());
+  const MeshFacts facts = inspect(close_holes(open));
+  EXPECT_TRUE(facts.closed());
+  EXPECT_EQ(facts.euler, 2);
+}
+
 TEST(Simplify, SphereStaysClosedNearItsVolume) {
   const TriMesh mesh = as_mesh(testing::sphere(5));
   const TriMesh small = simplify(mesh, 1000);

@@ -47,6 +47,9 @@ void fill_cavities(const at::Tensor& values);
 /// two faces. A closed mesh stays closed.
 [[nodiscard]] TriMesh repair(const TriMesh& mesh);
 
+/// Closes every hole: a rim of three edges by a face, a longer one by a fan around its middle.
+[[nodiscard]] TriMesh close_holes(const TriMesh& mesh);
+
 /// Drops components whose bounding box's diagonal is under `share` of the whole mesh's.
 [[nodiscard]] TriMesh drop_small_components(const TriMesh& mesh, double share);
 

@@ -1,0 +1,201 @@
+#include "tt3d/attack.h"
+
+#include <gtest/gtest.h>
+
+#include "support/gradient_check.h"
+#include "support/shapes.h"
+#include "support/temporary_folder.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+/// A classifier of three classes that answers with the mean of a picture's red, green and blue.
+class ColorClassifier : public Classifier {
+ public:
+  ColorClassifier() {
+    card_.name = "colors";
+    card_.height = card_.width = 32;
+    card_.labels = {"red", "green", "blue"};
+  }
+  [[nodiscard]] const ModelCard& card() const override { return card_; }
+  [[nodiscard]] Tensor logits(const Tensor& images) const override {
+    return images.mean({2, 3}) * 40;
+  }
+  [[nodiscard]] std::string weights_hash() const override { return "none"; }
+  [[nodiscard]] const ProbeReport& probe() const override { return probe_; }
+  [[nodiscard]] const std::filesystem::path& path() const override { return path_; }
+
+ private:
+  ModelCard card_;
+  ProbeReport probe_;
+  std::filesystem::path path_;
+};
+
+AttackInput ball_input(int64_t target) {
+  const testing::Shape s = testing::sphere(3, 0.7F);
+  FieldShape shape;
+  shape.geometry = {2, 4, 8, 8, 1};
+  shape.appearance = {6, 8, 64, 12, 2};
+  shape.occupancy = 8;
+  AttackInput input;
+  input.mesh = {s.vertices, s.faces};
+  input.appearance = RadianceField::create(shape, 1).appearance;
+  input.frame = {{0, 0, 0}, 1, 3.2, 40};
+  input.surrogates = {std::make_shared<ColorClassifier>()};
+  input.targets = {target};
+  return input;
+}
+
+AttackOptions small_options() {
+  AttackOptions o;
+  o.steps = 40;
+  o.views_per_step = 2;
+  o.image_size = 32;
+  o.beta = 0;
+  o.eot.plain_background = 0;
+  o.checkpoint_every = 6;
+  return o;
+}
+
+/// Stops the work after a number of updates.
+struct StopAfter : Progress {
+  explicit StopAfter(int n) : left(n) {}
+  void update(int64_t, const Metrics&) override { --left; }
+  [[nodiscard]] bool cancelled() const override { return left <= 0; }
+  int left;
+};
+
+TEST(Attack, ReachesEveryTargetOfAToyClassifier) {
+  Progress quiet;
+  for (const std::string& method : attack_method_names()) {
+    for (const int64_t target : {0, 2}) {
+      testing::TemporaryFolder folder;
+      AttackOptions o = small_options();
+      o.method = method;
+      const AttackResult r = run_attack(ball_input(target), o, 1, folder / "c", quiet);
+      double success = 0;
+      for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i) success += r.curves[i].success;
+      EXPECT_GE(success, 9.0) << method << " " << target;
+    }
+  }
+}
+
+TEST(Attack, OnlyTheMethodsParametersMove) {
+  Progress quiet;
+  const AttackInput input = ball_input(1);
+  for (const std::string& name : attack_method_names()) {
+    testing::TemporaryFolder folder;
+    AttackOptions o = small_options();
+    o.method = name;
+    o.steps = 5;
+    const AttackResult r = run_attack(input, o, 1, folder / "c", quiet);
+    const AttackMethod method = attack_method(name);
+    EXPECT_EQ(at::equal(r.mesh.vertices, input.mesh.vertices), !method.vertices) << name;
+    EXPECT_EQ(at::equal(r.appearance.grid, input.appearance.grid), !method.grid) << name;
+    EXPECT_EQ(at::equal(r.appearance.color_mlp[0], input.appearance.color_mlp[0]), !method.mlp);
+    EXPECT_TRUE(at::equal(r.mesh.faces, input.mesh.faces));
+  }
+}
+
+TEST(Attack, StrongerBetaStaysNearerToTheCleanObject) {
+  Progress quiet;
+  double before = 1e9;
+  for (const double beta : {0.0, 1e3, 1e5}) {
+    testing::TemporaryFolder folder;
+    AttackOptions o = small_options();
+    o.beta = beta;
+    const AttackResult r = run_attack(ball_input(0), o, 1, folder / "c", quiet);
+    EXPECT_LT(r.curves.back().rgb, before);
+    before = r.curves.back().rgb;
+  }
+}
+
+TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  const AttackInput input = ball_input(0);
+  const AttackOptions o = small_options();
+  const AttackResult whole = run_attack(input, o, 1, folder / "whole", quiet);
+  Random random(7, "stops");
+  for (int stops = 0; stops < 4; ++stops) {
+    StopAfter stop(static_cast<int>(1 + random.index(15)));
+    try {
+      (void)run_attack(input, o, 1, folder / "stopped", stop);
+    } catch (const Interrupted&) {
+    }
+  }
+  const AttackResult again = run_attack(input, o, 1, folder / "stopped", quiet);
+  save_attack(whole, folder / "a.safetensors");
+  save_attack(again, folder / "b.safetensors");
+  EXPECT_EQ(read_file(folder / "a.safetensors"), read_file(folder / "b.safetensors"));
+}
+
+TEST(Attack, SaveAndLoad) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  AttackOptions o = small_options();
+  o.steps = 3;
+  const AttackResult r = run_attack(ball_input(0), o, 1, folder / "c", quiet);
+  save_attack(r, folder / "r.safetensors");
+  const AttackResult back = load_attack(folder / "r.safetensors");
+  EXPECT_TRUE(at::equal(r.mesh.vertices, back.mesh.vertices));
+  EXPECT_TRUE(at::equal(r.appearance.grid, back.appearance.grid));
+  EXPECT_EQ(curves_csv(r.curves), curves_csv(back.curves));
+}
+
+TEST(Attack, UnknownNamesAreInputErrors) {
+  EXPECT_THROW((void)attack_method("dula"), InputError);
+  EXPECT_THROW((void)objective_loss("logits", at::zeros({1, 3}), 0), InputError);
+}
+
+TEST(Objective, ValuesByHand) {
+  const Tensor logits = at::tensor({1.F, 2.F, 4.F}).view({1, 3});
+  EXPECT_NEAR(objective_loss("logit", logits, 1).item<double>(), -2, 1e-6);
+  EXPECT_NEAR(objective_loss("cross-entropy", logits, 2).item<double>(), 0.16984, 1e-4);
+  EXPECT_NEAR(objective_loss("margin", logits, 0).item<double>(), 3.12693, 1e-4);
+}
+
+TEST(Eot, PaddingIsBackgroundAndNeverBlack) {
+  // A fully transparent rendering is background alone, whatever the placement.
+  EotOptions o;
+  o.brightness = o.contrast = o.saturation = o.noise = o.plain_background = 0;
+  const Tensor out = transform_images(at::zeros({4, 4, 20, 20}), 24, o, 1, 0);
+  EXPECT_NEAR(out.min().item<double>(), 1, 1e-6);
+}
+
+TEST(Eot, IdentityWhenEveryRangeIsZero) {
+  EotOptions o;
+  o.scale_low = o.scale_high = 1;
+  o.shift = o.rotation_deg = o.brightness = o.contrast = o.saturation = o.blur = o.noise = 0;
+  o.plain_background = 0;
+  Tensor x = testing::uniform({2, 4, 16, 16}, 0, 1, 3).to(at::kFloat);
+  x.select(1, 3).fill_(1);
+  EXPECT_LT((transform_images(x, 16, o, 1, 0) - x.narrow(1, 0, 3)).abs().max().item<double>(), 1e-5);
+}
+
+TEST(Eot, EachTransformActsAndDependsOnTheStep) {
+  EotOptions none;
+  none.scale_low = none.scale_high = 1;
+  none.shift = none.rotation_deg = none.brightness = none.contrast = none.saturation = 0;
+  none.blur = none.noise = none.plain_background = 0;
+  Tensor x = testing::uniform({1, 4, 16, 16}, 0, 0.8, 3).to(at::kFloat);
+  const Tensor base = transform_images(x, 16, none, 1, 0);
+  std::vector<EotOptions> each(8, none);
+  each[0].scale_low = 0.5;
+  each[1].shift = 0.3;
+  each[2].rotation_deg = 45;
+  each[3].brightness = each[4].contrast = each[5].saturation = 0.5;
+  each[6].blur = 3;
+  each[7].noise = 0.2;
+  for (size_t i = 0; i < each.size(); ++i) {
+    const Tensor a = transform_images(x, 16, each[i], 1, 1);
+    EXPECT_FALSE(at::equal(a, base)) << i;
+    EXPECT_FALSE(at::equal(a, transform_images(x, 16, each[i], 1, 2))) << i;
+    EXPECT_TRUE(at::equal(a, transform_images(x, 16, each[i], 1, 1))) << i;
+  }
+}
+
+}  // namespace
+}  // namespace tt3d

@@ -1,0 +1,103 @@
+#include <gtest/gtest.h>
+
+#include "support/shapes.h"
+#include "support/synthetic_capture.h"
+#include "support/temporary_folder.h"
+#include "tt3d/mesh.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+MeshOptions small_options() {
+  MeshOptions o;
+  o.refine_steps = 40;
+  o.vertex_rate = 1e-3;
+  o.min_faces = 100;
+  o.max_faces = 5000;
+  o.checkpoint_every = 6;
+  o.min_edge = 0.005;
+  return o;
+}
+
+Appearance small_appearance() {
+  FieldShape shape;
+  shape.geometry = {2, 4, 8, 8, 1};
+  shape.appearance = {6, 8, 64, 12, 2};
+  shape.occupancy = 8;
+  return RadianceField::create(shape, 1).appearance;
+}
+
+/// Stops the work after a number of updates.
+struct StopAfter : Progress {
+  explicit StopAfter(int n) : left(n) {}
+  void update(int64_t, const Metrics&) override { --left; }
+  [[nodiscard]] bool cancelled() const override { return left <= 0; }
+  int left;
+};
+
+TEST(RefineMesh, FindsTheBallFromATooSmallOne) {
+  const Capture capture = testing::ball_capture(16, 40);
+  const testing::Shape start = testing::sphere(3, 0.55F);
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  MeshOptions o = small_options();
+  o.refine_steps = 120;
+  o.vertex_rate = 2e-3;
+  o.offset_weight = 0;
+  o.mask_weight = 1;
+  const RefinedMesh r = refine_mesh({start.vertices, start.faces}, small_appearance(), capture, o,
+                                    1, folder / "c", quiet);
+  const MeshFacts facts = inspect(r.mesh);
+  EXPECT_TRUE(facts.closed());
+  EXPECT_NE(facts.faces, start.faces.size(0));   // faces were split or thinned
+  EXPECT_NEAR(r.mesh.vertices.norm(2, {1}).mean().item<double>(), 0.6, 0.02);
+  const RenderMesh prepared(r.mesh.faces);
+  at::NoGradGuard guard;
+  const double psnr = mean_psnr(capture.test, [&](const Camera& camera) {
+    return render_mesh(r.mesh.vertices, r.mesh.vertices, prepared, {camera},
+                       [&](const Tensor& x) { return r.appearance.color(x); })[0];
+  }, quiet);
+  EXPECT_GT(psnr, 24);
+}
+
+TEST(RefineMesh, ResumedAfterAnyStopGivesTheSameBytes) {
+  const Capture capture = testing::ball_capture(8, 24);
+  const testing::Shape start = testing::sphere(3, 0.58F);
+  const TriMesh mesh = {start.vertices, start.faces};
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  const MeshOptions o = small_options();
+  const RefinedMesh whole =
+      refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "whole", quiet);
+  Random random(6, "stops");
+  for (int stops = 0; stops < 4; ++stops) {
+    StopAfter stop(static_cast<int>(1 + random.index(15)));
+    try {
+      (void)refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "stopped", stop);
+    } catch (const Interrupted&) {
+    }
+  }
+  const RefinedMesh again =
+      refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "stopped", quiet);
+  EXPECT_TRUE(at::equal(whole.mesh.vertices, again.mesh.vertices));
+  EXPECT_TRUE(at::equal(whole.mesh.faces, again.mesh.faces));
+  EXPECT_TRUE(at::equal(whole.appearance.grid, again.appearance.grid));
+}
+
+TEST(ExtractMesh, EmptyFieldIsAnInputError) {
+  FieldShape shape;
+  shape.geometry = {2, 4, 8, 8, 1};
+  shape.appearance = {2, 4, 8, 8, 2};
+  shape.occupancy = 16;
+  RadianceField f = RadianceField::create(shape, 1);
+  f.occupied.zero_();
+  MeshOptions o;
+  o.resolution = 24;
+  Progress quiet;
+  EXPECT_THROW((void)extract_mesh(f, o, quiet), InputError);
+}
+
+}  // namespace
+}  // namespace tt3d
