@@ -18,11 +18,13 @@ Json first_present(const Json& json, const std::vector<std::string>& keys) {
   return nullptr;
 }
 
-/// attack.surrogates in run.json: keys are nested or dotted, below the configuration or on top.
+/// attack.surrogates in run.json: keys are nested or dotted, below the configuration or on top; the
+/// value is a list or the text of one.
 Json surrogates_in_run(const Json& run) {
   for (const Json& config : {first_present(run, {"config", "effective_config"}), run}) {
     Json found = member(config, "attack.surrogates");
-    if (!found.is_array()) found = member(member(config, "attack"), "surrogates");
+    if (found.is_null()) found = member(member(config, "attack"), "surrogates");
+    if (found.is_string()) found = Json::parse(found.get<std::string>(), nullptr, false);
     if (found.is_array()) return found;
   }
   return nullptr;

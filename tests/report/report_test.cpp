@@ -187,6 +187,16 @@ TEST(Report, SurrogatesFromTheConfigurationText) {
   EXPECT_TRUE(has(html, ">unseen-two</th><td><span class=\"role seen\">surrogate</span>"));
 }
 
+TEST(Report, SurrogatesFromDottedKeysOfRunJson) {
+  ReportInput input;
+  input.record_json = kRecord;
+  for (const char* value : {R"(["unseen-one"])", R"("[\"unseen-one\"]")"}) {
+    input.run_json = std::string("{\"config\": {\"attack.surrogates\": ") + value + "}}";
+    const std::string html = render_report(input);
+    EXPECT_TRUE(has(html, ">unseen-one</th><td><span class=\"role seen\">surrogate</span>"));
+  }
+}
+
 TEST(Report, BadInputIsNamed) {
   ReportInput input;
   input.record_json = "{\"victims\": [";
