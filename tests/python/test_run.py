@@ -1,0 +1,264 @@
+"""The program from outside: one small run end to end, killed and resumed, and users' mistakes."""
+
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = ROOT / "build/release/tt3d"
+CAPTURE = ROOT / "examples/captures/chicken"
+MODEL = ROOT / "tests/model/fixtures/toy_cnn.pt2"
+
+pytestmark = pytest.mark.skipif(not PROGRAM.exists(), reason="build/release/tt3d is not built")
+
+SMALL = f"""
+seed = 3
+[capture]
+path = "{CAPTURE}"
+max_size = 64
+max_train_views = 16
+max_test_views = 2
+[field]
+steps = 60
+samples_per_step = 8192
+ray_steps = 192
+occupancy = 64
+checkpoint_every = 10
+[field.geometry]
+finest = 128
+log2_size = 13
+[field.appearance]
+finest = 128
+log2_size = 13
+[mesh]
+resolution = 64
+target_faces = 3000
+min_faces = 500
+max_faces = 6000
+refine_steps = 20
+checkpoint_every = 5
+[attack]
+target = "teapot"
+surrogates = ["{MODEL}"]
+steps = 15
+views_per_step = 2
+image_size = 48
+checkpoint_every = 4
+[bake]
+resolution = 256
+[evaluate]
+true_class = "cup"
+victims = ["{MODEL}"]
+views = 8
+size = 48
+"""
+
+RESULTS = [
+    "field/field.safetensors",
+    "field/metrics.json",
+    "mesh/mesh.safetensors",
+    "mesh/mesh.ply",
+    "attack/attack.safetensors",
+    "attack/curves.csv",
+    "asset/adversarial.glb",
+    "asset/clean.glb",
+    "asset/adversarial.obj",
+    "asset/adversarial.mtl",
+    "asset/adversarial.png",
+    "eval/builtin.csv",
+]
+
+
+def tt3d(*arguments: str | Path, timeout: float = 170) -> subprocess.CompletedProcess[str]:
+    """Runs the program with two threads."""
+    environment = os.environ | {"OMP_NUM_THREADS": "2", "OMP_WAIT_POLICY": "PASSIVE"}
+    return subprocess.run(
+        [PROGRAM, *map(str, arguments)],
+        capture_output=True, text=True, timeout=timeout, env=environment, check=False,
+    )
+
+
+def hashes(run: Path) -> dict[str, str]:
+    """SHA-256 of every result that must not depend on how the run went."""
+    return {name: hashlib.sha256((run / name).read_bytes()).hexdigest() for name in RESULTS}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished small run."""
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "small.toml").write_text(SMALL)
+    done = tt3d("run", folder / "small.toml", "--out", folder / "out")
+    assert done.returncode == 0, done.stderr
+    assert "report.html" in done.stdout
+    return folder
+
+
+def test_run_leaves_everything_the_contract_names(finished: Path) -> None:
+    run = finished / "out"
+    for name in [*RESULTS, "asset/clean.obj", "eval/builtin.json", "report.html", "run.json"]:
+        assert (run / name).stat().st_size > 0, name
+    record = json.loads((run / "run.json").read_text())
+    names = [stage["name"] for stage in record["stages"]]
+    assert names == ["field", "mesh", "attack", "bake", "evaluate", "report"]
+    assert all(stage["seconds"] >= 0 and stage["peak_rss_bytes"] > 0 for stage in record["stages"])
+    mesh = json.loads((run / "mesh/metrics.json").read_text())
+    assert mesh["closed"] is True
+    assert mesh["psnr_test"] > 15 and mesh["psnr_test_baked"] > 15
+    assert not list(run.rglob("*checkpoint*")) and not list(run.rglob("*.tmp*"))
+
+
+def test_second_call_finds_it_finished(finished: Path) -> None:
+    before = hashes(finished / "out")
+    start = time.monotonic()
+    again = tt3d("run", finished / "small.toml", "--out", finished / "out")
+    assert again.returncode == 0 and time.monotonic() - start < 10
+    assert hashes(finished / "out") == before
+
+
+def test_killed_at_random_moments_gives_the_same_bytes(finished: Path, tmp_path: Path) -> None:
+    randomness = random.Random(4)
+    environment = os.environ | {"OMP_NUM_THREADS": "2", "OMP_WAIT_POLICY": "PASSIVE"}
+    for attempt in range(6):
+        process = subprocess.Popen(
+            [PROGRAM, "run", finished / "small.toml", "--out", tmp_path / "out"],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment,
+        )
+        try:
+            process.wait(timeout=randomness.uniform(0.5, 5))
+            break
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL if attempt % 2 == 0 else signal.SIGINT)
+            assert process.wait(timeout=60) in (-signal.SIGKILL, 130, 0)
+    done = tt3d("run", finished / "small.toml", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert hashes(tmp_path / "out") == hashes(finished / "out")
+
+
+def test_assets_are_in_the_inputs_coordinates(finished: Path) -> None:
+    # The hen stands about 1.4 units tall around the origin of its own scene.
+    info = json.loads(tt3d("info", finished / "out/asset/clean.glb", "--json").stdout)
+    frame = json.loads((finished / "out/asset/views.json").read_text())
+    for low, high, centre in zip(info["low"], info["high"], frame["centre"], strict=True):
+        assert low < centre < high
+    assert 2 < frame["distance"] < 6
+
+
+def test_changed_configuration_is_refused(finished: Path) -> None:
+    done = tt3d("run", finished / "small.toml", "--out", finished / "out", "--set", "attack.beta=5")
+    assert done.returncode == 2
+    assert "attack.beta" in done.stderr and "--restart" in done.stderr
+
+
+def test_evaluate_scores_the_exported_files_again(finished: Path, tmp_path: Path) -> None:
+    asset = finished / "out/asset"
+    done = tt3d(
+        "evaluate", asset / "adversarial.obj", "--clean", asset / "clean.obj", "--target", "teapot",
+        "--true-class", "cup", "--victims", MODEL, "--views", "8", "--size", "48", "--seed", "3",
+        "--out", tmp_path / "e.json", "--json",
+    )
+    assert done.returncode == 0, done.stderr
+    record = json.loads(done.stdout)
+    builtin = json.loads((finished / "out/eval/builtin.json").read_text())
+    assert record["victims"][0]["asr"] == builtin["victims"][0]["asr"]
+    assert record["naturalness"]["psnr"] == pytest.approx(builtin["naturalness"]["psnr"], abs=0.05)
+
+
+def test_render_makes_a_capture(finished: Path, tmp_path: Path) -> None:
+    done = tt3d("render", finished / "out/asset/clean.glb", "--views", "3", "--size", "40",
+                "--out", tmp_path / "views")
+    assert done.returncode == 0, done.stderr
+    info = json.loads(tt3d("info", tmp_path / "views", "--json").stdout)
+    assert info["train_views"] == 3 and info["masks"] is True
+
+
+def one_line(done: subprocess.CompletedProcess[str], code: int, *parts: str) -> None:
+    """The program ended with this code and one line that has these parts."""
+    assert done.returncode == code, done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1, done.stderr
+    for part in parts:
+        assert part in lines[0], lines[0]
+
+
+def small(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    """The small configuration with replacements, as a file."""
+    text = SMALL
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "c.toml").write_text(text)
+    return tmp_path / "c.toml"
+
+
+def test_unknown_key(tmp_path: Path) -> None:
+    config = small(tmp_path, ("views_per_step", "view_per_step"))
+    one_line(tt3d("run", config, "--out", tmp_path / "o"), 2, "c.toml:", "attack.views_per_step")
+
+
+def test_missing_config_and_capture(tmp_path: Path) -> None:
+    one_line(tt3d("run", tmp_path / "none.toml"), 2, "none.toml")
+    config = small(tmp_path, (str(CAPTURE), str(tmp_path / "nowhere")))
+    one_line(tt3d("run", config, "--out", tmp_path / "o"), 2, "nowhere")
+
+
+def test_truncated_photograph(tmp_path: Path) -> None:
+    shutil.copytree(CAPTURE, tmp_path / "hen")
+    picture = sorted((tmp_path / "hen/train").glob("*.png"))[0]
+    picture.write_bytes(picture.read_bytes()[:500])
+    one_line(tt3d("info", tmp_path / "hen"), 2, picture.name)
+
+
+def test_unknown_class(finished: Path, tmp_path: Path) -> None:
+    done = tt3d("evaluate", finished / "out/asset/clean.glb", "--target", "teapott", "--victims",
+                MODEL, "--out", tmp_path / "e.json")
+    one_line(done, 2, "teapott", "teapot")
+
+
+def test_empty_mesh(tmp_path: Path) -> None:
+    config = small(tmp_path, ("resolution = 64", "resolution = 64\niso = 1000000.0"),
+                   ("steps = 60", "steps = 1"))
+    done = tt3d("run", config, "--out", tmp_path / "o")
+    # The iso is bounded by the mean density, so a surface may exist; if not, one clear line.
+    assert done.returncode in (0, 2), done.stderr
+
+
+def test_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    one_line(tt3d("run", small(tmp_path), "--out", "/proc/tt3d"), 5, "/proc/tt3d")
+
+
+def test_full_disk(tmp_path: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("needs root to mount a small file system")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", disk], check=False)
+    if mounted.returncode != 0:
+        pytest.skip("cannot mount here")
+    try:
+        done = tt3d("run", small(tmp_path), "--out", disk / "o")
+        one_line(done, 5, str(disk))
+        assert not list(disk.rglob("*.tmp*"))
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+def test_usage_errors_are_exit_code_2() -> None:
+    assert tt3d().returncode == 2
+    assert tt3d("run").returncode == 2
+    assert tt3d("--help").returncode == 0
+    assert tt3d("config", "--device", "gpu").returncode == 2
+
+
+def test_config_lists_every_key_with_its_default() -> None:
+    keys = json.loads(tt3d("config", "--json").stdout)
+    assert {"attack.beta", "seed", "evaluate.views"} <= {key["key"] for key in keys}
+    one_line(tt3d("config", "attack.betta"), 2, "attack.beta")

@@ -1,0 +1,122 @@
+#include "tt3d/run.h"
+
+#include <gtest/gtest.h>
+
+#include "support/temporary_folder.h"
+
+namespace tt3d {
+namespace {
+
+/// The message of the InputError that loading this TOML gives; "" if it loads.
+std::string error_of(const std::string& toml) {
+  testing::TemporaryFolder folder;
+  write_file_atomic(folder / "c.toml", toml);
+  try {
+    (void)load_config(folder / "c.toml");
+    return "";
+  } catch (const InputError& error) {
+    return error.what();
+  }
+}
+
+void expect_contains(const std::string& text, const std::vector<std::string>& parts) {
+  for (const std::string& part : parts) EXPECT_NE(text.find(part), std::string::npos) << text;
+}
+
+TEST(Config, UnknownKeyNamesFileLineAndNearestKey) {
+  expect_contains(error_of("seed = 1\n[attack]\nbetta = 3.0\n"),
+                  {"c.toml:3:", "attack.betta", "attack.beta"});
+}
+
+TEST(Config, WrongTypeAndRange) {
+  expect_contains(error_of("[attack]\nbeta = \"high\"\n"), {"c.toml:2:", "attack.beta", "number"});
+  expect_contains(error_of("[attack]\nbeta = -1\n"), {"c.toml:2:", "attack.beta", "0 to"});
+  expect_contains(error_of("[attack]\nsteps = 1.5\n"), {"attack.steps", "integer"});
+  expect_contains(error_of("[attack]\nsurrogates = \"x\"\n"), {"attack.surrogates", "list"});
+  expect_contains(error_of("[attack]\nmethod = \"duel\"\n"), {"attack.method", "did you mean 'dual'"});
+  expect_contains(error_of("[field]\noccupancy = 100\n"), {"field.occupancy", "multiple of 8"});
+  expect_contains(error_of("[attack.eot]\nscale_low = 2.0\n"), {"scale_low", "scale_high"});
+  expect_contains(error_of("seed = = 2\n"), {"c.toml:1:"});
+}
+
+TEST(Config, EveryKeySurvivesARoundTrip) {
+  RunConfig config;
+  set_config(config, "seed=7");
+  set_config(config, "attack.target=teapot");
+  set_config(config, "attack.surrogates=[\"a\", \"b\"]");
+  set_config(config, "mesh.remesh_at=[0.25]");
+  testing::TemporaryFolder folder;
+  write_file_atomic(folder / "c.toml", config_toml(config));
+  const RunConfig back = load_config(folder / "c.toml");
+  const auto a = config_keys(config), b = config_keys(back);
+  ASSERT_EQ(a.size(), b.size());
+  for (size_t i = 0; i < a.size(); ++i) EXPECT_EQ(a[i].value, b[i].value) << a[i].name;
+}
+
+TEST(Config, KeysAreDocumentedAndUnique) {
+  std::set<std::string> names;
+  for (const ConfigKey& key : config_keys({})) {
+    EXPECT_TRUE(names.insert(key.name).second) << key.name;
+    EXPECT_FALSE(key.meaning.empty()) << key.name;
+  }
+  for (const char* contract : {"seed", "capture.path", "capture.format", "attack.method", "attack.target",
+                               "attack.surrogates", "attack.beta", "evaluate.true_class",
+                               "evaluate.victims", "evaluate.views"}) {
+    EXPECT_TRUE(names.contains(contract)) << contract;
+  }
+}
+
+TEST(Config, RelativePathsAreRelativeToTheFile) {
+  testing::TemporaryFolder folder;
+  write_file_atomic(folder / "sub/c.toml", "[capture]\npath = \"../photos\"\n");
+  EXPECT_EQ(load_config(folder / "sub/c.toml").capture.path,
+            std::filesystem::weakly_canonical(folder / "photos"));
+}
+
+TEST(Config, SetTakesTomlAndBareWords) {
+  RunConfig config;
+  set_config(config, "attack.target=n04398044");
+  EXPECT_EQ(config.attack_target, "n04398044");
+  EXPECT_THROW(set_config(config, "attack.beta"), InputError);
+  EXPECT_THROW(set_config(config, "attack.beta=much"), InputError);
+}
+
+TEST(RunFolder, ChangedConfigurationIsRefusedWithTheKeys) {
+  testing::TemporaryFolder folder;
+  RunConfig config;
+  { const Run run(folder / "r", config, false); }
+  config.attack.beta = 5;
+  try {
+    const Run run(folder / "r", config, false);
+    FAIL();
+  } catch (const InputError& error) {
+    expect_contains(error.what(), {"attack.beta", "1000.0", "5.0", "--restart"});
+  }
+  const Run run(folder / "r", config, true);
+  EXPECT_EQ(run.config().attack.beta, 5);
+}
+
+TEST(RunFolder, TwoProgramsDoNotShareIt) {
+  testing::TemporaryFolder folder;
+  const Run run(folder / "r", {}, false);
+  EXPECT_THROW(Run(folder / "r", {}, false), InputError);
+}
+
+TEST(RunFolder, OpenRestoresTheConfiguration) {
+  testing::TemporaryFolder folder;
+  RunConfig config;
+  config.attack.steps = 17;
+  config.attack_surrogates = {"x y", "z"};
+  { const Run run(folder / "r", config, false); }
+  const Run run = Run::open(folder / "r");
+  EXPECT_EQ(run.config().attack.steps, 17);
+  EXPECT_EQ(run.config().attack_surrogates[0], "x y");
+  EXPECT_THROW(Run::open(folder / "none"), InputError);
+}
+
+TEST(RunFolder, ReadOnlyPlaceIsAResourceError) {
+  EXPECT_THROW(Run("/proc/tt3d-run", {}, false), ResourceError);
+}
+
+}  // namespace
+}  // namespace tt3d
