@@ -27,8 +27,10 @@ void evaluate(Arguments& a, const Common& common) {
   const auto progress = make_progress(common);
   const EvalRecord record = evaluate_asset(a.options, *progress);
   write_record(record, a.out);
-  if (common.json) std::cout << record_json(record);
-  else print_record(record_json(record));
+  if (common.json)
+    std::cout << record_json(record);
+  else
+    print_record(record_json(record));
 }
 
 void render(const Arguments& a, const Common& common) {
@@ -44,7 +46,8 @@ void add_view_options(CLI::App& command, Arguments& a) {
   command.add_option("--views", a.views, "held-out random views")
       ->check(CLI::Range(1, 1000000))
       ->capture_default_str();
-  command.add_option("--view-distribution", a.options.view_distribution, "ring, dome, sphere or paper")
+  command
+      .add_option("--view-distribution", a.options.view_distribution, "ring, dome, sphere or paper")
       ->capture_default_str();
   command.add_option("--size", a.options.size, "pixels a side")
       ->check(CLI::Range(16, 8192))
@@ -58,7 +61,8 @@ void add_evaluate_commands(CLI::App& app, Common& common) {
   auto a = std::make_shared<Arguments>();
   CLI::App* command = app.add_subcommand("evaluate", "scores any GLB or OBJ against classifiers");
   command->add_option("ASSET", a->options.asset, "GLB or OBJ")->required();
-  command->add_option("--target", a->options.target, "class: index, WordNet id or name")->required();
+  command->add_option("--target", a->options.target, "class: index, WordNet id or name")
+      ->required();
   command->add_option("--victims", a->options.victims, "models that are scored")->required();
   command->add_option("--true-class", a->options.true_class, "class of the object");
   command->add_option("--clean", a->options.clean, "the object before the attack");

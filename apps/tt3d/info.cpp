@@ -54,15 +54,19 @@ json tensors_info(const fs::path& path) {
     tensors[name] = std::vector<int64_t>(t.sizes().begin(), t.sizes().end());
   }
   const auto format = file.metadata.find("format");
-  return {{"kind", format == file.metadata.end() ? "tensors" : format->second}, {"tensors", tensors}};
+  return {{"kind", format == file.metadata.end() ? "tensors" : format->second},
+          {"tensors", tensors}};
 }
 
 json model_info(const std::string& path) {
   const auto model = Classifier::load(path);
   const ModelCard& card = model->card();
-  return {{"kind", "model"},        {"name", card.name},
-          {"input_size", {card.height, card.width}}, {"classes", card.labels.size()},
-          {"licence", card.licence}, {"sha256", card.sha256}};
+  return {{"kind", "model"},
+          {"name", card.name},
+          {"input_size", {card.height, card.width}},
+          {"classes", card.labels.size()},
+          {"licence", card.licence},
+          {"sha256", card.sha256}};
 }
 
 json info_of(const std::string& text, Progress& progress) {
@@ -87,7 +91,8 @@ void print_json(const json& j, const Common& common) {
     return;
   }
   for (const auto& [key, value] : j.items()) {
-    std::cout << fmt::format("{:<16} {}\n", key, value.is_string() ? value.get<std::string>() : value.dump());
+    std::cout << fmt::format("{:<16} {}\n", key,
+                             value.is_string() ? value.get<std::string>() : value.dump());
   }
 }
 
@@ -97,20 +102,24 @@ void print_keys(const std::string& wanted, const Common& common) {
   for (const ConfigKey& key : config_keys({})) {
     names.push_back(key.name);
     if (!wanted.empty() && key.name != wanted && !key.name.starts_with(wanted + ".")) continue;
-    list.push_back({{"key", key.name}, {"meaning", key.meaning}, {"unit", key.unit},
-                    {"default", key.value}, {"range", key.range}});
+    list.push_back({{"key", key.name},
+                    {"meaning", key.meaning},
+                    {"unit", key.unit},
+                    {"default", key.value},
+                    {"range", key.range}});
   }
   if (list.empty()) {
     const std::string near = nearest_name(wanted, names);
-    throw InputError("no key '" + wanted + "'" + (near.empty() ? "" : "; did you mean '" + near + "'?"));
+    throw InputError("no key '" + wanted + "'" +
+                     (near.empty() ? "" : "; did you mean '" + near + "'?"));
   }
   if (common.json) {
     std::cout << list.dump(1) << "\n";
     return;
   }
   for (const json& k : list) {
-    std::cout << fmt::format("{:<28} {:<16} {}", k["key"].get<std::string>(), k["default"].get<std::string>(),
-                             k["meaning"].get<std::string>());
+    std::cout << fmt::format("{:<28} {:<16} {}", k["key"].get<std::string>(),
+                             k["default"].get<std::string>(), k["meaning"].get<std::string>());
     const std::string unit = k["unit"], range = k["range"];
     if (!unit.empty()) std::cout << " [" << unit << "]";
     if (!range.empty()) std::cout << " (" << range << ")";
@@ -122,7 +131,8 @@ void print_keys(const std::string& wanted, const Common& common) {
 
 void add_info_commands(CLI::App& app, Common& common) {
   auto text = std::make_shared<std::string>();
-  CLI::App* info = app.add_subcommand("info", "what a capture, field, mesh, asset, model or run holds");
+  CLI::App* info =
+      app.add_subcommand("info", "what a capture, field, mesh, asset, model or run holds");
   info->add_option("PATH", *text, "file or folder")->required();
   add_common_options(*info, common);
   info->callback([text, &common] {

@@ -19,8 +19,10 @@ void add_common_options(CLI::App& command, Common& common) {
       ->check(CLI::NonNegativeNumber);
   command.add_option("--seed", common.seed, "seed of every random stream")->capture_default_str();
   command.add_flag("--json", common.json, "print results as JSON on stdout");
-  command.add_flag_callback("-v", [&common] { ++common.verbosity; }, "progress lines when not on a terminal");
-  command.add_flag_callback("-q", [&common] { common.verbosity = -1; }, "no progress, no notes");
+  command.add_flag_callback(
+      "-v", [&common] { ++common.verbosity; }, "progress lines when not on a terminal");
+  command.add_flag_callback(
+      "-q", [&common] { common.verbosity = -1; }, "no progress, no notes");
 }
 
 void apply_common(const Common& common) {

@@ -44,11 +44,14 @@ class TerminalProgress : public Progress {
     if ((!live_ && !lines_) || (now - last_drawn_ < pause && done < total_)) return;
     last_drawn_ = now;
     const double rate = static_cast<double>(done - first_) / std::max(1e-9, now - start_);
-    std::string line = fmt::format("{:<12} {:>6}/{} {:>8.3g}/s  left {}", stage_, done, total_, rate,
-                                   duration(static_cast<double>(total_ - done) / std::max(1e-9, rate)));
+    std::string line =
+        fmt::format("{:<12} {:>6}/{} {:>8.3g}/s  left {}", stage_, done, total_, rate,
+                    duration(static_cast<double>(total_ - done) / std::max(1e-9, rate)));
     for (const auto& [name, value] : metrics) line += fmt::format("  {} {:.4g}", name, value);
-    if (live_) std::cerr << "\r\x1b[K" << line << std::flush;
-    else std::cerr << line << "\n";
+    if (live_)
+      std::cerr << "\r\x1b[K" << line << std::flush;
+    else
+      std::cerr << line << "\n";
     drawn_ = live_;
   }
 

@@ -52,7 +52,8 @@ void run_all(const Arguments& a, const Common& common, const CLI::App& command) 
   RunConfig config = load_config(a.config);
   for (const std::string& s : a.sets) set_config(config, s);
   apply_seed(config, common, command);
-  const fs::path out = a.run.empty() ? fs::path("runs") / fs::path(a.config).stem() : fs::path(a.run);
+  const fs::path out =
+      a.run.empty() ? fs::path("runs") / fs::path(a.config).stem() : fs::path(a.run);
   const auto progress = make_progress(common);
   Run run(out, config, a.restart);
   run.run_until("report", *progress);
@@ -84,7 +85,7 @@ Run continue_run(const Arguments& a, const Common& common, std::vector<std::stri
 }
 
 std::string toml_list(const std::vector<std::string>& words) {
-  return json(words).dump();   // a JSON list of strings is a TOML one
+  return json(words).dump();  // a JSON list of strings is a TOML one
 }
 
 void attack(const Arguments& a, const Common& common) {
@@ -123,9 +124,11 @@ void add_run_commands(CLI::App& app, Common& common) {
   add_common_options(*field, common);
   field->callback([a, &common, field] { fit(*a, common, *field); });
 
-  stage_command(app, common, *a, "mesh", "radiance field to a refined mesh")->callback([a, &common] {
-    std::cout << read_file(continue_run(*a, common, {}, "mesh").folder() / "mesh" / "metrics.json");
-  });
+  stage_command(app, common, *a, "mesh", "radiance field to a refined mesh")
+      ->callback([a, &common] {
+        std::cout << read_file(continue_run(*a, common, {}, "mesh").folder() / "mesh" /
+                               "metrics.json");
+      });
   CLI::App* command = stage_command(app, common, *a, "attack", "mesh to an adversarial mesh");
   command->add_option("--target", a->target, "class: index, WordNet id or name")->required();
   command->add_option("--surrogate", a->surrogates, "models the attack may see")->required();
@@ -144,17 +147,20 @@ void print_record(const std::string& record_json) {
   const auto percent = [](const json& x) {
     return x.is_null() ? std::string("-") : fmt::format("{:.1f} %", 100 * x.get<double>());
   };
-  std::cout << fmt::format("target {} ({}), {} views of '{}' on {}\n", r["target"]["name"].get<std::string>(),
-                           r["target"]["index"].get<int64_t>(), r["views"]["count"].get<int64_t>(),
-                           r["views"]["distribution"].get<std::string>(), r["background"].get<std::string>());
-  std::cout << fmt::format("{:<24} {:>8} {:>18} {:>10} {:>14} {:>10}\n", "victim", "ASR", "95 % interval",
-                           "clean acc", "ASR if correct", "p(target)");
+  std::cout << fmt::format(
+      "target {} ({}), {} views of '{}' on {}\n", r["target"]["name"].get<std::string>(),
+      r["target"]["index"].get<int64_t>(), r["views"]["count"].get<int64_t>(),
+      r["views"]["distribution"].get<std::string>(), r["background"].get<std::string>());
+  std::cout << fmt::format("{:<24} {:>8} {:>18} {:>10} {:>14} {:>10}\n", "victim", "ASR",
+                           "95 % interval", "clean acc", "ASR if correct", "p(target)");
   for (const json& v : r["victims"]) {
-    const std::string interval = fmt::format("{:.1f} to {:.1f} %", 100 * v["asr_ci95"][0].get<double>(),
-                                             100 * v["asr_ci95"][1].get<double>());
-    std::cout << fmt::format("{:<24} {:>8} {:>18} {:>10} {:>14} {:>10.3f}\n", v["name"].get<std::string>(),
-                             percent(v["asr"]), interval, percent(v["clean_accuracy"]),
-                             percent(v["asr_on_correct"]), v["mean_target_probability"].get<double>());
+    const std::string interval =
+        fmt::format("{:.1f} to {:.1f} %", 100 * v["asr_ci95"][0].get<double>(),
+                    100 * v["asr_ci95"][1].get<double>());
+    std::cout << fmt::format("{:<24} {:>8} {:>18} {:>10} {:>14} {:>10.3f}\n",
+                             v["name"].get<std::string>(), percent(v["asr"]), interval,
+                             percent(v["clean_accuracy"]), percent(v["asr_on_correct"]),
+                             v["mean_target_probability"].get<double>());
   }
   const json& n = r["naturalness"];
   if (!n["psnr"].is_null()) {

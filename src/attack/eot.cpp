@@ -11,9 +11,7 @@ namespace {
 using at::Tensor;
 
 /// One number a picture, shaped to broadcast over [N,C,H,W].
-Tensor column(const std::vector<float>& values) {
-  return at::tensor(values).view({-1, 1, 1, 1});
-}
+Tensor column(const std::vector<float>& values) { return at::tensor(values).view({-1, 1, 1, 1}); }
 
 /// Affine maps from the frame to the picture: rotation, size and place. [N,2,3].
 Tensor placements(int64_t count, const EotOptions& o, Random& random) {
@@ -82,7 +80,7 @@ Tensor gaussian_noise(at::IntArrayRef shape, Random& random) {
   Tensor out = at::empty(shape);
   auto* p = out.mutable_data_ptr<float>();
   // A sum of four uniforms is near enough to a normal, and needs no logarithm.
-  constexpr float kScale = 1.7320508F;   // 1 / sqrt(4 / 12)
+  constexpr float kScale = 1.7320508F;  // 1 / sqrt(4 / 12)
   for (int64_t i = 0; i < out.numel(); ++i) {
     const uint32_t a = random.next(), b = random.next();
     const float sum = static_cast<float>((a & 0xFFFF) + (a >> 16) + (b & 0xFFFF) + (b >> 16));

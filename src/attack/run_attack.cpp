@@ -15,7 +15,7 @@ constexpr int kMaxRollbacks = 3;
 
 /// Everything that changes while attacking; saved and restored whole.
 struct AttackState {
-  Tensor offsets;   ///< [V,3]
+  Tensor offsets;  ///< [V,3]
   Appearance appearance;
   std::vector<Tensor> moment1, moment2;
   std::vector<AttackCurvePoint> curves;
@@ -89,7 +89,8 @@ Tensor find_curves(const TensorFile& file) {
 void save_state(const AttackState& s, const std::filesystem::path& path) {
   std::vector<std::pair<std::string, Tensor>> tensors = {{"offsets", s.offsets}};
   const auto all = s.appearance.parameters();
-  for (size_t i = 0; i < all.size(); ++i) tensors.emplace_back("appearance." + std::to_string(i), all[i]);
+  for (size_t i = 0; i < all.size(); ++i)
+    tensors.emplace_back("appearance." + std::to_string(i), all[i]);
   for (size_t i = 0; i < s.moment1.size(); ++i) {
     tensors.emplace_back("moment1." + std::to_string(i), s.moment1[i]);
     tensors.emplace_back("moment2." + std::to_string(i), s.moment2[i]);
@@ -189,16 +190,14 @@ class Attacker {
   Tensor render(const AttackState& s, const Tensor& vertices, Tensor& rgb) const {
     std::vector<Camera> cameras;
     const int64_t n = options_.views_per_step;
-    for (const SampledView& v :
-         sample_views(options_.view_distribution, seed_, s.step * n, n,
-                      static_cast<int>(options_.image_size), input_.frame)) {
+    for (const SampledView& v : sample_views(options_.view_distribution, seed_, s.step * n, n,
+                                             static_cast<int>(options_.image_size), input_.frame)) {
       cameras.push_back(v.camera);
     }
-    const auto pixels =
-        static_cast<double>(3 * n * options_.image_size * options_.image_size);
+    const auto pixels = static_cast<double>(3 * n * options_.image_size * options_.image_size);
     // The appearance sticks to the surface: points are looked up where they rest.
-    const Tensor rendered = render_mesh(
-        vertices, input_.mesh.vertices, prepared_, cameras, [&](const Tensor& x) {
+    const Tensor rendered =
+        render_mesh(vertices, input_.mesh.vertices, prepared_, cameras, [&](const Tensor& x) {
           const Tensor color = s.appearance.color(x);
           Tensor clean;
           {
@@ -279,9 +278,9 @@ AttackResult run_attack(const AttackInput& input, const AttackOptions& options, 
     success = keep * success + (1 - keep) * point.success;
     objective = keep * objective + (1 - keep) * point.objective;
     rgb = keep * rgb + (1 - keep) * point.rgb;
-    progress.update(s.step, {{"loss", objective},
-                             {"asr", success},
-                             {"psnr", rgb > 0 ? -10 * std::log10(rgb) : 99.0}});
+    progress.update(
+        s.step,
+        {{"loss", objective}, {"asr", success}, {"psnr", rgb > 0 ? -10 * std::log10(rgb) : 99.0}});
     if (s.step % options.checkpoint_every == 0) save_state(s, checkpoint);
     progress.check();
   }
@@ -313,7 +312,8 @@ void save_attack(const AttackResult& r, const std::filesystem::path& path) {
       {"curves", curves_tensor(r.curves)},
       {"grid_shape", at::tensor({h.levels, h.base, h.finest, h.log2_size, h.features}, at::kLong)}};
   const auto all = r.appearance.parameters();
-  for (size_t i = 0; i < all.size(); ++i) tensors.emplace_back("appearance." + std::to_string(i), all[i]);
+  for (size_t i = 0; i < all.size(); ++i)
+    tensors.emplace_back("appearance." + std::to_string(i), all[i]);
   save_tensors(path, tensors, {{"format", "tt3d attack"}});
 }
 

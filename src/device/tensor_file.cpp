@@ -49,7 +49,8 @@ at::Tensor read_entry(const std::string& name, const json& entry, std::string_vi
   uint64_t bytes = at::elementSize(dtype);
   uint64_t extent = 1;  // the product without zeros: strides are made of it
   for (const int64_t n : shape) {
-    if (n < 0 || static_cast<uint64_t>(n) > kMaxElements / extent || (n > 0 && bytes > data.size() / static_cast<uint64_t>(n))) {
+    if (n < 0 || static_cast<uint64_t>(n) > kMaxElements / extent ||
+        (n > 0 && bytes > data.size() / static_cast<uint64_t>(n))) {
       throw InputError(path, "tensor '" + name + "' is larger than the file");
     }
     bytes *= static_cast<uint64_t>(n);
@@ -126,8 +127,10 @@ TensorFile load_tensors(const std::filesystem::path& path) {
     const json header = json::parse(bytes.data() + sizeof header_size,
                                     bytes.data() + sizeof header_size + header_size);
     for (const auto& [name, entry] : header.items()) {
-      if (name == "__metadata__") file.metadata = entry.get<std::map<std::string, std::string>>();
-      else file.tensors[name] = read_entry(name, entry, data, path);
+      if (name == "__metadata__")
+        file.metadata = entry.get<std::map<std::string, std::string>>();
+      else
+        file.tensors[name] = read_entry(name, entry, data, path);
     }
   } catch (const json::exception& error) {
     throw InputError(path, std::string("has a malformed header: ") + error.what());

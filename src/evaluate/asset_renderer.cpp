@@ -47,7 +47,8 @@ ViewFrame asset_view_frame(const TexturedMesh& asset, const std::filesystem::pat
     }
     return frame;
   } catch (const json::exception& error) {
-    throw InputError(path, std::string("expected centre, radius, distance, fov_y_deg: ") + error.what());
+    throw InputError(path,
+                     std::string("expected centre, radius, distance, fov_y_deg: ") + error.what());
   }
 }
 
@@ -75,8 +76,8 @@ Tensor AssetRenderer::render(const std::vector<Camera>& cameras) const {
   const Tensor clip = to_clip(asset_.vertices, clip_matrices(cameras, 1.05 * extent_ + 1e-6));
   const Tensor rast = rasterize(clip, asset_.faces, height, width);
   const Tensor uv = interpolate(asset_.uvs, rast, asset_.uv_faces);
-  const Tensor derivatives = attribute_derivatives(
-      corner_uvs_, rast, clip.index_select(1, corner_index_), corner_faces_);
+  const Tensor derivatives =
+      attribute_derivatives(corner_uvs_, rast, clip.index_select(1, corner_index_), corner_faces_);
   const Tensor color = texture(texels_, uv, derivatives, rast);
   const Tensor alpha = (rast.narrow(3, 3, 1) > 0).to(at::kFloat);
   return antialias(at::cat({color, alpha}, 3), rast, clip, asset_.faces, opposites_);
@@ -101,7 +102,8 @@ Backgrounds::Backgrounds(const std::string& text) {
     std::sort(photographs_.begin(), photographs_.end());
     if (photographs_.empty()) throw InputError(text, "holds no PNG or JPEG to use as background");
   } else {
-    throw InputError("background '" + text + "': expected white, #rrggbb or a folder of photographs");
+    throw InputError("background '" + text +
+                     "': expected white, #rrggbb or a folder of photographs");
   }
 }
 

@@ -28,8 +28,8 @@ double ssim(const Tensor& a, const Tensor& b) {
   const Tensor mx = smooth(x), my = smooth(y);
   const Tensor vx = smooth(x * x) - mx * mx, vy = smooth(y * y) - my * my;
   const Tensor cov = smooth(x * y) - mx * my;
-  const Tensor map = ((2 * mx * my + kC1) * (2 * cov + kC2)) /
-                     ((mx * mx + my * my + kC1) * (vx + vy + kC2));
+  const Tensor map =
+      ((2 * mx * my + kC1) * (2 * cov + kC2)) / ((mx * mx + my * my + kC1) * (vx + vy + kC2));
   return map.mean().item<double>();
 }
 

@@ -21,11 +21,10 @@ void composite_backward_cpu(const T* densities, const T* colors, const T* steps,
   });
 }
 
-#define TT3D_INSTANTIATE(T)                                                                     \
-  template void composite_cpu(const T*, const T*, const T*, const int64_t*, T*, int64_t,        \
-                              int64_t);                                                         \
-  template void composite_backward_cpu(const T*, const T*, const T*, const int64_t*, const T*,  \
-                                       T*, T*, int64_t, int64_t);
+#define TT3D_INSTANTIATE(T)                                                                        \
+  template void composite_cpu(const T*, const T*, const T*, const int64_t*, T*, int64_t, int64_t); \
+  template void composite_backward_cpu(const T*, const T*, const T*, const int64_t*, const T*, T*, \
+                                       T*, int64_t, int64_t);
 TT3D_INSTANTIATE(float)
 TT3D_INSTANTIATE(double)
 #undef TT3D_INSTANTIATE

@@ -33,7 +33,7 @@ TT3D_HD void composite_ray_backward(const T* densities, const T* colors, const T
                                     T* grad_densities, T* grad_colors) {
   T total[4];
   composite_ray(densities, colors, steps, begin, end, samples, total);
-  T behind = 0;   // gradient-weighted remainder: sum over j > i
+  T behind = 0;  // gradient-weighted remainder: sum over j > i
   for (int c = 0; c < 4; ++c) behind += grad[c] * total[c];
   T transmittance = 1;
   for (int64_t i = begin; i < end && transmittance > T(kOpaque); ++i) {

@@ -33,8 +33,8 @@ template <typename T>
 void mlp_cpu(const T* x, const std::vector<Layer<T>>& layers, T* out, int64_t count);
 /// grad_x may be null; grad_weights[k] are overwritten.
 template <typename T>
-void mlp_backward_cpu(const T* x, const std::vector<Layer<T>>& layers, const T* grad_out,
-                      T* grad_x, const std::vector<T*>& grad_weights, int64_t count);
+void mlp_backward_cpu(const T* x, const std::vector<Layer<T>>& layers, const T* grad_out, T* grad_x,
+                      const std::vector<T*>& grad_weights, int64_t count);
 
 template <typename T>
 void composite_cpu(const T* densities, const T* colors, const T* steps, const int64_t* ray_begin,

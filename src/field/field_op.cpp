@@ -20,12 +20,14 @@ using torch::autograd::variable_list;
 std::vector<field::HashLevel> levels_of(const HashGridShape& shape) {
   std::vector<field::HashLevel> levels;
   const double growth =
-      shape.levels > 1 ? std::log(static_cast<double>(shape.finest) / static_cast<double>(shape.base)) /
-                             static_cast<double>(shape.levels - 1)
-                       : 0.0;
+      shape.levels > 1
+          ? std::log(static_cast<double>(shape.finest) / static_cast<double>(shape.base)) /
+                static_cast<double>(shape.levels - 1)
+          : 0.0;
   int64_t offset = 0;
   for (int64_t l = 0; l < shape.levels; ++l) {
-    const double scale = static_cast<double>(shape.base) * std::exp(growth * static_cast<double>(l));
+    const double scale =
+        static_cast<double>(shape.base) * std::exp(growth * static_cast<double>(l));
     const auto resolution = static_cast<int64_t>(std::ceil(scale)) + 2;
     const int64_t points = resolution * resolution * resolution;
     const int64_t limit = int64_t{1} << shape.log2_size;
@@ -64,17 +66,16 @@ struct HashEncode : public Function<HashEncode> {
     AT_DISPATCH_FLOATING_TYPES(table.scalar_type(), "hash_encode_backward", [&] {
       if (ctx->needs_input_grad(1)) {
         grad_table = at::zeros_like(table);
-        field::hash_encode_backward_cpu(x.const_data_ptr<scalar_t>(),
-                                        grad.const_data_ptr<scalar_t>(),
-                                        grad_table.mutable_data_ptr<scalar_t>(), x.size(0), levels,
-                                        shape.features);
+        field::hash_encode_backward_cpu(
+            x.const_data_ptr<scalar_t>(), grad.const_data_ptr<scalar_t>(),
+            grad_table.mutable_data_ptr<scalar_t>(), x.size(0), levels, shape.features);
       }
       if (ctx->needs_input_grad(0)) {
         grad_x = at::empty_like(x);
         field::hash_encode_backward_points_cpu(
             x.const_data_ptr<scalar_t>(), table.const_data_ptr<scalar_t>(),
-            grad.const_data_ptr<scalar_t>(), grad_x.mutable_data_ptr<scalar_t>(), x.size(0),
-            levels, shape.features);
+            grad.const_data_ptr<scalar_t>(), grad_x.mutable_data_ptr<scalar_t>(), x.size(0), levels,
+            shape.features);
       }
     });
     return {grad_x, grad_table, Tensor()};
@@ -133,10 +134,9 @@ struct Composite : public Function<Composite> {
     const int64_t rays = ray_begin.size(0) - 1;
     Tensor out = at::empty({rays, 4}, densities.options());
     AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "composite", [&] {
-      field::composite_cpu(densities.const_data_ptr<scalar_t>(),
-                           colors.const_data_ptr<scalar_t>(), steps.const_data_ptr<scalar_t>(),
-                           ray_begin.const_data_ptr<int64_t>(), out.mutable_data_ptr<scalar_t>(),
-                           rays, densities.size(0));
+      field::composite_cpu(densities.const_data_ptr<scalar_t>(), colors.const_data_ptr<scalar_t>(),
+                           steps.const_data_ptr<scalar_t>(), ray_begin.const_data_ptr<int64_t>(),
+                           out.mutable_data_ptr<scalar_t>(), rays, densities.size(0));
     });
     ctx->save_for_backward({densities, colors, steps, ray_begin});
     return out;
@@ -190,9 +190,9 @@ int64_t HashGridShape::entries() const {
 Tensor hash_encode(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
   TORCH_CHECK(x.dim() == 2 && x.size(1) == 3, "x must be [P,3]");
   TORCH_CHECK(shape.features == 1 || shape.features == 2, "features must be 1 or 2");
-  TORCH_CHECK(table.is_contiguous() && table.size(0) == shape.entries() &&
-                  table.size(1) == shape.features,
-              "table must be dense [entries, features]");
+  TORCH_CHECK(
+      table.is_contiguous() && table.size(0) == shape.entries() && table.size(1) == shape.features,
+      "table must be dense [entries, features]");
   return HashEncode::apply(x, table, shape);
 }
 

@@ -13,7 +13,7 @@ namespace {
 using at::Tensor;
 
 constexpr int64_t kOccupancyEvery = 16;
-constexpr int64_t kAverageSteps = 200;   ///< 0.95^200 is nothing: earlier averaging is invisible
+constexpr int64_t kAverageSteps = 200;  ///< 0.95^200 is nothing: earlier averaging is invisible
 constexpr double kAverageDecay = 0.95;
 constexpr int kMaxRollbacks = 3;
 
@@ -30,7 +30,8 @@ struct TrainingState {
 
 std::vector<Tensor> zeros_like_all(const std::vector<Tensor>& tensors) {
   std::vector<Tensor> out;
-  for (const Tensor& t : tensors) out.push_back(at::zeros_like(t, t.options().requires_grad(false)));
+  for (const Tensor& t : tensors)
+    out.push_back(at::zeros_like(t, t.options().requires_grad(false)));
   return out;
 }
 
@@ -95,7 +96,8 @@ void load_state(const std::filesystem::path& path, TrainingState& s) {
 
 /// Linear warm-up, then exponential decay to a tenth.
 double learning_rate(const FieldOptions& options, int64_t step) {
-  const auto warmup = static_cast<double>(std::min(options.warmup, std::max<int64_t>(1, options.steps / 10)));
+  const auto warmup =
+      static_cast<double>(std::min(options.warmup, std::max<int64_t>(1, options.steps / 10)));
   const auto t = static_cast<double>(step);
   if (t < warmup) return options.rate * (t + 1) / warmup;
   return options.rate * std::pow(0.1, (t - warmup) / (static_cast<double>(options.steps) - warmup));
@@ -149,7 +151,8 @@ StepResult compute_gradients(const Capture& capture, const field::PixelPool& poo
   Tensor loss = mse + options.mask_weight *
                           (rendered.select(1, 3) - rays.targets.select(1, 3)).square().mean();
   if (specular_loss.defined()) loss = loss + options.specular_weight * specular_loss;
-  if (options.tv_weight > 0) loss = loss + options.tv_weight * total_variation(s.field, seed, s.step);
+  if (options.tv_weight > 0)
+    loss = loss + options.tv_weight * total_variation(s.field, seed, s.step);
   grads = torch::autograd::grad({loss}, s.field.parameters(), {}, false, false,
                                 /*allow_unused=*/true);
   result.loss = loss.item<double>();
@@ -179,7 +182,8 @@ void apply_gradients(const FieldOptions& options, const std::vector<Tensor>& gra
 int64_t next_rays(const FieldOptions& options, int64_t rays, int64_t samples) {
   const double per_ray = std::max(0.25, static_cast<double>(samples) / static_cast<double>(rays));
   const double wanted = static_cast<double>(options.samples_per_step) / per_ray;
-  const double limited = std::clamp(wanted, 0.5 * static_cast<double>(rays), 1.5 * static_cast<double>(rays));
+  const double limited =
+      std::clamp(wanted, 0.5 * static_cast<double>(rays), 1.5 * static_cast<double>(rays));
   return std::clamp(static_cast<int64_t>(limited), int64_t{256}, options.samples_per_step);
 }
 

@@ -25,9 +25,8 @@ TT3D_HD Corner<T> corner_of(int k, const uint32_t cell[3], const T fraction[3],
 }
 
 template <typename T, int F, bool kDense>
-TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table,
-                          T* __restrict out, int64_t begin, int64_t end, int64_t count,
-                          HashLevel level) {
+TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table, T* __restrict out,
+                          int64_t begin, int64_t end, int64_t count, HashLevel level) {
   level.dense = kDense;
 #pragma GCC ivdep
   for (int64_t i = begin; i < end; ++i) {
@@ -68,20 +67,24 @@ TT3D_HD void scatter_level(const T* __restrict points, const T* __restrict grad_
 template <typename T, int F>
 TT3D_HD void encode_level(const T* points, const T* table, T* out, int64_t begin, int64_t end,
                           int64_t count, const HashLevel& level) {
-  if (level.dense) encode_range<T, F, true>(points, table, out, begin, end, count, level);
-  else encode_range<T, F, false>(points, table, out, begin, end, count, level);
+  if (level.dense)
+    encode_range<T, F, true>(points, table, out, begin, end, count, level);
+  else
+    encode_range<T, F, false>(points, table, out, begin, end, count, level);
 }
 
 // target_clones needs plain functions: one for each type and feature count.
-#define TT3D_HASH_LOOPS(T, F)                                                                   \
-  TT3D_CPU_LOOP void encode_##T##F(const T* points, const T* table, T* out, int64_t begin,      \
-                                   int64_t end, int64_t count, const HashLevel& level) {        \
-    encode_level<T, F>(points, table, out, begin, end, count, level);                           \
-  }                                                                                             \
-  TT3D_CPU_LOOP void scatter_##T##F(const T* points, const T* grad_out, T* grad_table,          \
-                                    int64_t count, const HashLevel& level) {                    \
-    if (level.dense) scatter_level<T, F, true>(points, grad_out, grad_table, count, level);     \
-    else scatter_level<T, F, false>(points, grad_out, grad_table, count, level);                \
+#define TT3D_HASH_LOOPS(T, F)                                                              \
+  TT3D_CPU_LOOP void encode_##T##F(const T* points, const T* table, T* out, int64_t begin, \
+                                   int64_t end, int64_t count, const HashLevel& level) {   \
+    encode_level<T, F>(points, table, out, begin, end, count, level);                      \
+  }                                                                                        \
+  TT3D_CPU_LOOP void scatter_##T##F(const T* points, const T* grad_out, T* grad_table,     \
+                                    int64_t count, const HashLevel& level) {               \
+    if (level.dense)                                                                       \
+      scatter_level<T, F, true>(points, grad_out, grad_table, count, level);               \
+    else                                                                                   \
+      scatter_level<T, F, false>(points, grad_out, grad_table, count, level);              \
   }
 TT3D_HASH_LOOPS(float, 1)
 TT3D_HASH_LOOPS(float, 2)
@@ -91,14 +94,18 @@ TT3D_HASH_LOOPS(double, 2)
 
 template <typename T>
 auto encode_loop(int64_t features) {
-  if constexpr (std::is_same_v<T, float>) return features == 1 ? encode_float1 : encode_float2;
-  else return features == 1 ? encode_double1 : encode_double2;
+  if constexpr (std::is_same_v<T, float>)
+    return features == 1 ? encode_float1 : encode_float2;
+  else
+    return features == 1 ? encode_double1 : encode_double2;
 }
 
 template <typename T>
 auto scatter_loop(int64_t features) {
-  if constexpr (std::is_same_v<T, float>) return features == 1 ? scatter_float1 : scatter_float2;
-  else return features == 1 ? scatter_double1 : scatter_double2;
+  if constexpr (std::is_same_v<T, float>)
+    return features == 1 ? scatter_float1 : scatter_float2;
+  else
+    return features == 1 ? scatter_double1 : scatter_double2;
 }
 
 }  // namespace
@@ -168,12 +175,12 @@ void hash_encode_backward_points_cpu(const T* points, const T* table, const T* g
   });
 }
 
-#define TT3D_INSTANTIATE(T)                                                                    \
+#define TT3D_INSTANTIATE(T)                                                                     \
   template void hash_encode_cpu(const T*, const T*, T*, int64_t, const std::vector<HashLevel>&, \
-                                int64_t);                                                      \
-  template void hash_encode_backward_cpu(const T*, const T*, T*, int64_t,                      \
-                                         const std::vector<HashLevel>&, int64_t);              \
-  template void hash_encode_backward_points_cpu(const T*, const T*, const T*, T*, int64_t,     \
+                                int64_t);                                                       \
+  template void hash_encode_backward_cpu(const T*, const T*, T*, int64_t,                       \
+                                         const std::vector<HashLevel>&, int64_t);               \
+  template void hash_encode_backward_points_cpu(const T*, const T*, const T*, T*, int64_t,      \
                                                 const std::vector<HashLevel>&, int64_t);
 TT3D_INSTANTIATE(float)
 TT3D_INSTANTIATE(double)

@@ -9,11 +9,11 @@
 namespace tt3d::field {
 
 struct HashLevel {
-  float scale;            ///< cells along the unit interval
-  uint32_t resolution;    ///< grid points a side
-  uint32_t size;          ///< entries
-  bool dense;             ///< entries are grid points, no hashing
-  int64_t offset;         ///< first entry in the table
+  float scale;          ///< cells along the unit interval
+  uint32_t resolution;  ///< grid points a side
+  uint32_t size;        ///< entries
+  bool dense;           ///< entries are grid points, no hashing
+  int64_t offset;       ///< first entry in the table
 };
 
 /// Cell corner and position inside the cell of coordinate x in [-1,1].

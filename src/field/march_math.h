@@ -12,8 +12,8 @@ namespace tt3d::field {
 inline constexpr int64_t kCoarse = 8;
 
 struct MarchGrid {
-  const uint8_t* occupied;   ///< [G,G,G] over (z,y,x)
-  const uint8_t* coarse;     ///< [G/8,G/8,G/8]: whether any of 8x8x8 cells is occupied
+  const uint8_t* occupied;  ///< [G,G,G] over (z,y,x)
+  const uint8_t* coarse;    ///< [G/8,G/8,G/8]: whether any of 8x8x8 cells is occupied
   int64_t size;
   float step, near_distance;
 };

@@ -11,7 +11,7 @@ namespace {
 constexpr int kLanes = 16;
 constexpr int kBlock = 128;
 constexpr int kVectors = kBlock / kLanes;
-constexpr int64_t kChunk = 8192;   ///< points a partial weight gradient covers
+constexpr int64_t kChunk = 8192;  ///< points a partial weight gradient covers
 static_assert(kChunk % kBlock == 0);
 
 template <typename T>
@@ -59,10 +59,10 @@ TT3D_HD void accumulate_weights(const T* gy, const T* x, T* grad, int64_t in, in
       for (int v = 0; v < kVectors; ++v) {
         Lanes<T> a[4], b[4];
         for (int r = 0; r < 4; ++r) {
-          a[r] = *reinterpret_cast<const Lanes<T>*>(gy + (o + std::min<int64_t>(r, rows - 1)) * kBlock +
-                                                    v * kLanes);
-          b[r] = *reinterpret_cast<const Lanes<T>*>(x + (i + std::min<int64_t>(r, cols - 1)) * kBlock +
-                                                    v * kLanes);
+          a[r] = *reinterpret_cast<const Lanes<T>*>(
+              gy + (o + std::min<int64_t>(r, rows - 1)) * kBlock + v * kLanes);
+          b[r] = *reinterpret_cast<const Lanes<T>*>(
+              x + (i + std::min<int64_t>(r, cols - 1)) * kBlock + v * kLanes);
         }
         for (int r = 0; r < 4; ++r) {
           for (int c = 0; c < 4; ++c) sum[r][c] += a[r] * b[c];
@@ -144,7 +144,8 @@ TT3D_HD void backward_block(const Layer<T>* layers, const T* const* transposed, 
     multiply(transposed[k], grad_a, grad_b, layers[k].out, layers[k].in);
     if (k > 0) {
       const T* x = activations[k];
-      for (int64_t i = 0; i < layers[k].in * kBlock; ++i) grad_b[i] = x[i] > T(0) ? grad_b[i] : T(0);
+      for (int64_t i = 0; i < layers[k].in * kBlock; ++i)
+        grad_b[i] = x[i] > T(0) ? grad_b[i] : T(0);
     }
     std::swap(grad_a, grad_b);
   }
@@ -152,29 +153,29 @@ TT3D_HD void backward_block(const Layer<T>* layers, const T* const* transposed, 
 }
 
 // target_clones needs plain functions: one for each type.
-#define TT3D_MLP_LOOPS(T)                                                                        \
-  TT3D_CPU_LOOP void forward_range(const T* x, const Layer<T>* layers, size_t layer_count,       \
-                                   T* const* activations, T* out, int64_t begin, int64_t end,    \
-                                   int64_t count) {                                              \
-    for (int64_t b = begin; b < end; b += kBlock) {                                              \
-      load_block(x, layers[0].in, count, b, activations[0]);                                     \
-      forward_block(layers, layer_count, activations);                                           \
-      store_block(activations[layer_count], layers[layer_count - 1].out, count, b, out);         \
-    }                                                                                            \
-  }                                                                                              \
-  TT3D_CPU_LOOP void backward_range(const T* x, const Layer<T>* layers, const T* const* turned,  \
-                                    size_t layer_count, T* const* activations, T* grad_a,        \
-                                    T* grad_b, const T* grad_out, T* grad_x, T* const* grad_w,   \
-                                    int64_t begin, int64_t end, int64_t count) {                 \
-    for (int64_t b = begin; b < end; b += kBlock) {                                              \
-      load_block(x, layers[0].in, count, b, activations[0]);                                     \
-      forward_block(layers, layer_count, activations);                                           \
-      load_block(grad_out, layers[layer_count - 1].out, count, b, grad_a);                       \
-      T* grad_input = nullptr;                                                                   \
-      backward_block(layers, turned, layer_count, activations, grad_a, grad_b, grad_w,           \
-                     grad_x != nullptr, &grad_input);                                            \
-      if (grad_x) store_block(grad_input, layers[0].in, count, b, grad_x);                       \
-    }                                                                                            \
+#define TT3D_MLP_LOOPS(T)                                                                       \
+  TT3D_CPU_LOOP void forward_range(const T* x, const Layer<T>* layers, size_t layer_count,      \
+                                   T* const* activations, T* out, int64_t begin, int64_t end,   \
+                                   int64_t count) {                                             \
+    for (int64_t b = begin; b < end; b += kBlock) {                                             \
+      load_block(x, layers[0].in, count, b, activations[0]);                                    \
+      forward_block(layers, layer_count, activations);                                          \
+      store_block(activations[layer_count], layers[layer_count - 1].out, count, b, out);        \
+    }                                                                                           \
+  }                                                                                             \
+  TT3D_CPU_LOOP void backward_range(const T* x, const Layer<T>* layers, const T* const* turned, \
+                                    size_t layer_count, T* const* activations, T* grad_a,       \
+                                    T* grad_b, const T* grad_out, T* grad_x, T* const* grad_w,  \
+                                    int64_t begin, int64_t end, int64_t count) {                \
+    for (int64_t b = begin; b < end; b += kBlock) {                                             \
+      load_block(x, layers[0].in, count, b, activations[0]);                                    \
+      forward_block(layers, layer_count, activations);                                          \
+      load_block(grad_out, layers[layer_count - 1].out, count, b, grad_a);                      \
+      T* grad_input = nullptr;                                                                  \
+      backward_block(layers, turned, layer_count, activations, grad_a, grad_b, grad_w,          \
+                     grad_x != nullptr, &grad_input);                                           \
+      if (grad_x) store_block(grad_input, layers[0].in, count, b, grad_x);                      \
+    }                                                                                           \
   }
 TT3D_MLP_LOOPS(float)
 TT3D_MLP_LOOPS(double)
@@ -192,8 +193,8 @@ void mlp_cpu(const T* x, const std::vector<Layer<T>>& layers, T* out, int64_t co
 }
 
 template <typename T>
-void mlp_backward_cpu(const T* x, const std::vector<Layer<T>>& layers, const T* grad_out,
-                      T* grad_x, const std::vector<T*>& grad_weights, int64_t count) {
+void mlp_backward_cpu(const T* x, const std::vector<Layer<T>>& layers, const T* grad_out, T* grad_x,
+                      const std::vector<T*>& grad_weights, int64_t count) {
   std::vector<std::vector<T>> transposed(layers.size());
   std::vector<const T*> transposed_data;
   int64_t parameters = 0;
@@ -237,9 +238,9 @@ void mlp_backward_cpu(const T* x, const std::vector<Layer<T>>& layers, const T* 
   }
 }
 
-#define TT3D_INSTANTIATE(T)                                                                   \
-  template void mlp_cpu(const T*, const std::vector<Layer<T>>&, T*, int64_t);                 \
-  template void mlp_backward_cpu(const T*, const std::vector<Layer<T>>&, const T*, T*,        \
+#define TT3D_INSTANTIATE(T)                                                            \
+  template void mlp_cpu(const T*, const std::vector<Layer<T>>&, T*, int64_t);          \
+  template void mlp_backward_cpu(const T*, const std::vector<Layer<T>>&, const T*, T*, \
                                  const std::vector<T*>&, int64_t);
 TT3D_INSTANTIATE(float)
 TT3D_INSTANTIATE(double)

@@ -36,10 +36,9 @@ Tensor encoded(const Tensor& x, const Tensor& grid, const HashGridShape& shape) 
 }
 
 std::vector<int64_t> shape_numbers(const FieldShape& s) {
-  return {s.geometry.levels,      s.geometry.base,       s.geometry.finest,
-          s.geometry.log2_size,   s.appearance.levels,   s.appearance.base,
-          s.appearance.finest,    s.appearance.log2_size, s.density_hidden,
-          s.color_hidden,         s.specular_hidden,     s.occupancy};
+  return {s.geometry.levels,   s.geometry.base,   s.geometry.finest,   s.geometry.log2_size,
+          s.appearance.levels, s.appearance.base, s.appearance.finest, s.appearance.log2_size,
+          s.density_hidden,    s.color_hidden,    s.specular_hidden,   s.occupancy};
 }
 
 FieldShape shape_from(const std::vector<int64_t>& n) {
@@ -55,9 +54,9 @@ FieldShape shape_from(const std::vector<int64_t>& n) {
 
 const std::vector<std::string>& parameter_names() {
   static const std::vector<std::string> names = {
-      "geometry.grid",    "geometry.mlp.0",   "geometry.mlp.1",   "appearance.grid",
-      "appearance.mlp.0", "appearance.mlp.1", "appearance.mlp.2", "specular.mlp.0",
-      "specular.mlp.1"};
+      "geometry.grid",    "geometry.mlp.0",   "geometry.mlp.1",
+      "appearance.grid",  "appearance.mlp.0", "appearance.mlp.1",
+      "appearance.mlp.2", "specular.mlp.0",   "specular.mlp.1"};
   return names;
 }
 
@@ -88,7 +87,8 @@ RadianceField RadianceField::create(const FieldShape& shape, uint64_t seed) {
   f.geometry_grid = uniform_tensor({shape.geometry.entries(), 1}, kGridBound, seed, "geometry");
   f.density_mlp = make_mlp({3 + shape.geometry.levels, shape.density_hidden, 1}, seed, "density");
   f.appearance.shape = shape.appearance;
-  f.appearance.grid = uniform_tensor({shape.appearance.entries(), 2}, kGridBound, seed, "appearance");
+  f.appearance.grid =
+      uniform_tensor({shape.appearance.entries(), 2}, kGridBound, seed, "appearance");
   f.appearance.color_mlp = make_mlp(
       {3 + 2 * shape.appearance.levels, shape.color_hidden, shape.color_hidden, 6}, seed, "color");
   f.specular_mlp = make_mlp({6, shape.specular_hidden, 3}, seed, "specular");
@@ -133,9 +133,8 @@ void RadianceField::save(const std::filesystem::path& path) const {
 RadianceField RadianceField::load(const std::filesystem::path& path) {
   const TensorFile file = load_tensors(path);
   const Tensor numbers = file.get("shape", {12}, at::kLong);
-  FieldShape shape =
-      shape_from(std::vector<int64_t>(numbers.const_data_ptr<int64_t>(),
-                                      numbers.const_data_ptr<int64_t>() + numbers.numel()));
+  FieldShape shape = shape_from(std::vector<int64_t>(
+      numbers.const_data_ptr<int64_t>(), numbers.const_data_ptr<int64_t>() + numbers.numel()));
   RadianceField f = create(shape, 0);
   const auto all = f.parameters();
   for (size_t i = 0; i < all.size(); ++i) {

@@ -34,8 +34,8 @@ Tensor dilated_mask(const View& view, int64_t grid_size) {
   const Tensor alpha = (view.rgba.select(2, 3) > 0).to(at::kFloat).unsqueeze(0).unsqueeze(0);
   // A cell at the object's usual distance: half the cell's diagonal, in pixels, and one more.
   const auto position = view.camera.position();
-  const double distance = std::sqrt(position[0] * position[0] + position[1] * position[1] +
-                                    position[2] * position[2]);
+  const double distance =
+      std::sqrt(position[0] * position[0] + position[1] * position[1] + position[2] * position[2]);
   const double cell = 2.0 / static_cast<double>(grid_size);
   const double pixels = view.camera.fx * cell / std::max(0.5, distance - 1.0);
   const int64_t radius = 1 + static_cast<int64_t>(std::ceil(pixels * 0.87));
@@ -113,7 +113,7 @@ Tensor sample_directions(const Rays& rays, const Tensor& ray_begin, int64_t samp
 
 namespace {
 
-constexpr double kVisible = 1e-3;   ///< samples behind this transmittance are not shaded
+constexpr double kVisible = 1e-3;  ///< samples behind this transmittance are not shaded
 
 /// Densities of the samples that can be seen, without gradient: in rounds of a few samples a ray,
 /// each only for the rays that are still transparent. The rest stay 0.
@@ -153,8 +153,7 @@ Tensor visible_densities(const RadianceField& f, const RaySamples& samples, int6
 Tensor render_rays(const RadianceField& f, const Rays& rays, const Tensor& jitter, double step,
                    bool with_specular, Tensor* specular_loss, int64_t* cost) {
   constexpr double kNear = 0.05;
-  RaySamples samples =
-      march_rays(rays.origins, rays.directions, f.occupied, jitter, step, kNear);
+  RaySamples samples = march_rays(rays.origins, rays.directions, f.occupied, jitter, step, kNear);
   int64_t evaluated = 0;
   {
     // Drop what is hidden before anything is differentiated: most samples inside the object.
@@ -194,7 +193,8 @@ Tensor visual_hull(const std::vector<View>& views, int64_t size) {
     for (size_t v = 0; v < views.size(); ++v) {
       const auto& m = world_to_camera[v];
       double q[4];
-      for (int k = 0; k < 4; ++k) q[k] = m[4 * k] * p[0] + m[4 * k + 1] * p[1] + m[4 * k + 2] * p[2] + m[4 * k + 3];
+      for (int k = 0; k < 4; ++k)
+        q[k] = m[4 * k] * p[0] + m[4 * k + 1] * p[1] + m[4 * k + 2] * p[2] + m[4 * k + 3];
       if (q[3] <= 0) continue;
       const Camera& camera = views[v].camera;
       const double x = (q[0] / q[3] + 1) * 0.5 * camera.width;

@@ -21,9 +21,9 @@ void pixel_ray(const Camera& camera, double column, double row, float origin[3],
 /// Pixels worth a ray: those whose rays can meet the visual hull. The others see the background in
 /// any field that fits the masks, and give no gradient.
 struct PixelPool {
-  std::vector<at::Tensor> targets;   ///< a view's premultiplied colour and alpha [H,W,4]
-  std::vector<int64_t> pixels;       ///< row-major pixel numbers, views one after the other
-  std::vector<int64_t> view_begin;   ///< [views + 1] into pixels
+  std::vector<at::Tensor> targets;  ///< a view's premultiplied colour and alpha [H,W,4]
+  std::vector<int64_t> pixels;      ///< row-major pixel numbers, views one after the other
+  std::vector<int64_t> view_begin;  ///< [views + 1] into pixels
 };
 PixelPool make_pixel_pool(const std::vector<View>& views, int64_t occupancy_size);
 
@@ -38,8 +38,7 @@ Rays row_rays(const Camera& camera, int64_t row_begin, int64_t row_end);
 /// `specular_loss`, when given, receives the mean square of the specular part; `cost` the samples
 /// that were shaded, plus a sixth of those whose density alone was asked.
 at::Tensor render_rays(const RadianceField& f, const Rays& rays, const at::Tensor& jitter,
-                       double step, bool with_specular, at::Tensor* specular_loss,
-                       int64_t* cost);
+                       double step, bool with_specular, at::Tensor* specular_loss, int64_t* cost);
 
 /// Cells of the occupancy grid that are inside every view's silhouette (where visible at all):
 /// the visual hull, dilated by a cell. A cell that no camera sees is empty.

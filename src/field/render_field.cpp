@@ -41,8 +41,7 @@ double mean_psnr(const std::vector<View>& views, const ViewRenderer& render, Pro
     const Tensor difference = over_background(render(views[i].camera), white).clamp(0, 1) -
                               over_background(premultiplied(views[i]), white);
     sum += -10 * std::log10(std::max(1e-10, difference.square().mean().item<double>()));
-    progress.update(static_cast<int64_t>(i) + 1,
-                    {{"psnr", sum / static_cast<double>(i + 1)}});
+    progress.update(static_cast<int64_t>(i) + 1, {{"psnr", sum / static_cast<double>(i + 1)}});
     progress.check();
   }
   progress.end();

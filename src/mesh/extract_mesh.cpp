@@ -83,9 +83,9 @@ TriMesh extract_mesh(const RadianceField& field, const MeshOptions& options, Pro
   fill_cavities(values);
   TriMesh mesh = marching_cubes(values);
   if (mesh.faces.size(0) == 0) {
-    throw InputError(
-        "the field holds nothing solid: no surface at density " + std::to_string(options.iso) +
-        "; train longer (field.steps) or lower mesh.iso");
+    throw InputError("the field holds nothing solid: no surface at density " +
+                     std::to_string(options.iso) +
+                     "; train longer (field.steps) or lower mesh.iso");
   }
   mesh = drop_small_components(mesh, options.min_component);
   mesh = simplify(mesh, options.target_faces);

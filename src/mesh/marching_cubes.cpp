@@ -49,7 +49,8 @@ class CaseTable {
  private:
   [[nodiscard]] int edge_between(int a, int b) const {
     for (int i = 0; i < 12; ++i) {
-      if ((edges_[i].a == a && edges_[i].b == b) || (edges_[i].a == b && edges_[i].b == a)) return i;
+      if ((edges_[i].a == a && edges_[i].b == b) || (edges_[i].a == b && edges_[i].b == a))
+        return i;
     }
     return -1;
   }
@@ -76,7 +77,7 @@ class CaseTable {
       for (int k = 0; k < 4; ++k) {
         const bool in = (mask >> face[k]) & 1, before = (mask >> face[(k + 3) % 4]) & 1;
         if (!in || before) continue;
-        int last = k;   // walk the run of inside corners that starts at k
+        int last = k;  // walk the run of inside corners that starts at k
         while ((mask >> face[(last + 1) % 4]) & 1) last = (last + 1) % 4;
         const int entry = edge_between(face[(k + 3) % 4], face[k]);
         const int leave = edge_between(face[last], face[(last + 1) % 4]);
@@ -187,8 +188,7 @@ class Marcher {
     const CubeEdge& edge = table_.edge(e);
     const int64_t base[3] = {x + (edge.a & 1), y + ((edge.a >> 1) & 1), z + ((edge.a >> 2) & 1)};
     const int64_t side = size_ + 2;
-    const int64_t key =
-        (((base[2] + 1) * side + base[1] + 1) * side + base[0] + 1) * 3 + edge.axis;
+    const int64_t key = (((base[2] + 1) * side + base[1] + 1) * side + base[0] + 1) * 3 + edge.axis;
     const auto [found, fresh] = index_.try_emplace(key, 0);
     if (!fresh) return found->second;
     // Off the corners, so that no triangle has zero area.

@@ -17,12 +17,12 @@ constexpr int kMaxRollbacks = 3;
 
 /// Everything that changes while refining; saved and restored whole.
 struct RefineState {
-  TriMesh mesh;        ///< base of the offsets; changes at each remeshing
-  Tensor offsets;      ///< [V,3]
+  TriMesh mesh;    ///< base of the offsets; changes at each remeshing
+  Tensor offsets;  ///< [V,3]
   Appearance appearance;
-  std::vector<Tensor> moment1, moment2;   ///< offsets first, then the appearance
+  std::vector<Tensor> moment1, moment2;  ///< offsets first, then the appearance
   int64_t step = 0;
-  int64_t since_remesh = 0;   ///< Adam's iteration for the offsets
+  int64_t since_remesh = 0;  ///< Adam's iteration for the offsets
   double rate_scale = 1;
   int rollbacks = 0;
 
@@ -112,7 +112,8 @@ std::vector<size_t> draw_views(const std::vector<std::vector<size_t>>& groups, s
   Random random(seed, "mesh/views", static_cast<uint64_t>(step));
   auto pick = random.index(static_cast<int64_t>(total));
   const std::vector<size_t>* group = groups.data();
-  while (pick >= static_cast<int64_t>(group->size())) pick -= static_cast<int64_t>((group++)->size());
+  while (pick >= static_cast<int64_t>(group->size()))
+    pick -= static_cast<int64_t>((group++)->size());
   std::vector<size_t> views;
   for (int64_t i = 0; i < count; ++i) {
     views.push_back((*group)[random.index(static_cast<int64_t>(group->size()))]);
@@ -136,14 +137,12 @@ StepLoss compute_gradients(const Capture& capture, const std::vector<Tensor>& ta
   }
   const Tensor target = at::stack(wanted);
   const Tensor vertices = s.mesh.vertices + s.offsets;
-  const Tensor rendered = render_mesh(vertices, vertices, prepared, cameras, [&](const Tensor& x) {
-    return s.appearance.color(x);
-  });
+  const Tensor rendered = render_mesh(vertices, vertices, prepared, cameras,
+                                      [&](const Tensor& x) { return s.appearance.color(x); });
   Random random(seed, "mesh/background", static_cast<uint64_t>(s.step));
   const Tensor background = at::tensor({random.uniform(), random.uniform(), random.uniform()});
-  const Tensor mse = (over_background(rendered, background) - over_background(target, background))
-                         .square()
-                         .mean();
+  const Tensor mse =
+      (over_background(rendered, background) - over_background(target, background)).square().mean();
   const Tensor loss =
       mse + options.mask_weight * (rendered.select(3, 3) - target.select(3, 3)).square().mean() +
       options.laplacian_weight * regularizer.laplacian(vertices) +
@@ -152,8 +151,7 @@ StepLoss compute_gradients(const Capture& capture, const std::vector<Tensor>& ta
   return {loss.item<double>(), mse.item<double>()};
 }
 
-void apply_gradients(const MeshOptions& options, const std::vector<Tensor>& grads,
-                     RefineState& s) {
+void apply_gradients(const MeshOptions& options, const std::vector<Tensor>& grads, RefineState& s) {
   const Adam adam;
   // Exponential decay to a tenth over the stage.
   const double decay =
@@ -162,24 +160,25 @@ void apply_gradients(const MeshOptions& options, const std::vector<Tensor>& grad
   at::NoGradGuard guard;
   for (size_t i = 0; i < parameters.size(); ++i) {
     const bool offsets = i == 0;
-    const double rate = (offsets ? options.vertex_rate : options.appearance_rate) * decay * s.rate_scale;
+    const double rate =
+        (offsets ? options.vertex_rate : options.appearance_rate) * decay * s.rate_scale;
     adam.step(parameters[i], grads[i].contiguous(), s.moment1[i], s.moment2[i], rate,
               offsets ? s.since_remesh + 1 : s.step + 1);
   }
 }
 
 /// Mean squared colour error of each face over all training views, 0 for faces never seen.
-Tensor face_errors(const Capture& capture, const std::vector<Tensor>& targets,
-                   const RefineState& s, const RenderMesh& prepared) {
+Tensor face_errors(const Capture& capture, const std::vector<Tensor>& targets, const RefineState& s,
+                   const RenderMesh& prepared) {
   at::NoGradGuard guard;
   const int64_t count = s.mesh.faces.size(0);
   Tensor sum = at::zeros({count + 1}), pixels = at::zeros({count + 1});
   const Tensor vertices = s.mesh.vertices + s.offsets;
   for (size_t v = 0; v < capture.train.size(); ++v) {
     Tensor rast;
-    const Tensor rendered =
-        render_mesh(vertices, vertices, prepared, {capture.train[v].camera},
-                    [&](const Tensor& x) { return s.appearance.color(x); }, &rast);
+    const Tensor rendered = render_mesh(
+        vertices, vertices, prepared, {capture.train[v].camera},
+        [&](const Tensor& x) { return s.appearance.color(x); }, &rast);
     const Tensor error = (rendered[0] - targets[v]).square().sum(2).flatten();
     const Tensor face = rast.select(3, 3).flatten().to(at::kLong);
     sum.index_add_(0, face, error);
@@ -197,8 +196,8 @@ Tensor extreme_faces(const Tensor& error, double share, bool largest) {
 }
 
 /// Thins the best faces, then splits the worst, within the options' bounds on their number.
-void remesh(const Capture& capture, const std::vector<Tensor>& targets,
-            const MeshOptions& options, RefineState& s) {
+void remesh(const Capture& capture, const std::vector<Tensor>& targets, const MeshOptions& options,
+            RefineState& s) {
   s.mesh.vertices = (s.mesh.vertices + s.offsets).detach();
   reset_offsets(s);
   const auto errors = [&] { return face_errors(capture, targets, s, RenderMesh(s.mesh.faces)); };
@@ -217,7 +216,8 @@ void remesh(const Capture& capture, const std::vector<Tensor>& targets,
 
 bool remesh_now(const MeshOptions& options, int64_t step) {
   for (const double share : options.remesh_at) {
-    if (step == static_cast<int64_t>(share * static_cast<double>(options.refine_steps)) && step > 0) return true;
+    if (step == static_cast<int64_t>(share * static_cast<double>(options.refine_steps)) && step > 0)
+      return true;
   }
   return false;
 }

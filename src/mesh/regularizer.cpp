@@ -37,8 +37,7 @@ std::pair<Tensor, Tensor> nearest(const Tensor& queries, const Tensor& points, i
   for_each_index(queries.size(0), [&](int64_t i) {
     int64_t found[2] = {0, 0};
     float squared[2] = {0, 0};
-    const size_t count =
-        tree.knnSearch(q + 3 * i, static_cast<size_t>(rank) + 1, found, squared);
+    const size_t count = tree.knnSearch(q + 3 * i, static_cast<size_t>(rank) + 1, found, squared);
     out[i] = found[count - 1];
     out_distance[i] = std::sqrt(squared[count - 1]);
   });
@@ -98,8 +97,7 @@ Tensor MeshRegularizer::chamfer(const Tensor& vertices) const {
   const Tensor to_rest = own_rest ? rest_ : rest_.index_select(0, nearest(moved, rest_, 0).first);
   const Tensor to_vertex =
       own_vertex ? vertices : vertices.index_select(0, nearest(rest_, moved, 0).first);
-  return (vertices - to_rest).square().sum(1).mean() +
-         (to_vertex - rest_).square().sum(1).mean();
+  return (vertices - to_rest).square().sum(1).mean() + (to_vertex - rest_).square().sum(1).mean();
 }
 
 }  // namespace tt3d

@@ -143,7 +143,8 @@ bool split_fans(std::vector<Point>& points, std::vector<Face>& faces) {
     corners.join(s.face * 3 + (s.k + 1) % 3, t.face * 3 + t.k);
   };
   for (const auto& [key, list] : sides) {
-    if (list.size() == 2) join(list[0], list[1]);
+    if (list.size() == 2)
+      join(list[0], list[1]);
     else if (list.size() > 2) {
       for (const auto& [s, t] : pair_sides(list, faces, points)) join(s, t);
     }

@@ -21,10 +21,10 @@ std::vector<Face> simplified_faces(const std::vector<Point>& points, const std::
     for (const int32_t v : f) indices.push_back(static_cast<unsigned int>(v));
   }
   std::vector<unsigned int> out(indices.size());
-  constexpr float kAnyError = 1.0F;   // the count decides
-  const size_t count = meshopt_simplify(out.data(), indices.data(), indices.size(),
-                                        points[0].data(), points.size(), sizeof(Point),
-                                        target_faces * 3, kAnyError, options, nullptr);
+  constexpr float kAnyError = 1.0F;  // the count decides
+  const size_t count =
+      meshopt_simplify(out.data(), indices.data(), indices.size(), points[0].data(), points.size(),
+                       sizeof(Point), target_faces * 3, kAnyError, options, nullptr);
   std::vector<Face> result;
   for (size_t i = 0; i < count; i += 3) {
     result.push_back({static_cast<int32_t>(out[i]), static_cast<int32_t>(out[i + 1]),

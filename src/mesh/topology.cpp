@@ -94,8 +94,10 @@ MeshFacts inspect(const TriMesh& m) {
   const auto uses = edge_uses(faces);
   facts.edges = static_cast<int64_t>(uses.size());
   for (const auto& [key, use] : uses) {
-    if (use.forward + use.backward == 1) ++facts.boundary_edges;
-    else if (use.forward != 1 || use.backward != 1) ++facts.non_manifold_edges;
+    if (use.forward + use.backward == 1)
+      ++facts.boundary_edges;
+    else if (use.forward != 1 || use.backward != 1)
+      ++facts.non_manifold_edges;
   }
   facts.euler = facts.vertices - facts.edges + facts.faces;
   UnionFind sets(points.size());
@@ -107,7 +109,8 @@ MeshFacts inspect(const TriMesh& m) {
     const mesh::Point &a = points[f[0]], &b = points[f[1]], &c = points[f[2]];
     facts.volume += (double(a[0]) * (double(b[1]) * c[2] - double(b[2]) * c[1]) -
                      double(a[1]) * (double(b[0]) * c[2] - double(b[2]) * c[0]) +
-                     double(a[2]) * (double(b[0]) * c[1] - double(b[1]) * c[0])) / 6;
+                     double(a[2]) * (double(b[0]) * c[1] - double(b[1]) * c[0])) /
+                    6;
   }
   for (size_t v = 0; v < points.size(); ++v) {
     facts.components += used[v] && sets.find(static_cast<int32_t>(v)) == static_cast<int32_t>(v);

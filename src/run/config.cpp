@@ -1,9 +1,9 @@
 #include <fmt/format.h>
 
+#include <toml++/toml.h>
 #include <cmath>
 #include <functional>
 #include <limits>
-#include <toml++/toml.h>
 
 #include "tt3d/run.h"
 
@@ -38,8 +38,10 @@ std::string list_text(const std::vector<T>& list) {
   std::string out = "[";
   for (const T& item : list) {
     if (out.size() > 1) out += ", ";
-    if constexpr (std::is_same_v<T, std::string>) out += toml_string(item);
-    else out += number_text(item);
+    if constexpr (std::is_same_v<T, std::string>)
+      out += toml_string(item);
+    else
+      out += number_text(item);
   }
   return out + "]";
 }
@@ -60,8 +62,8 @@ class Schema {
 
  private:
   template <typename T>
-  void integer(const std::string& name, T& target, double low, double high,
-               const std::string& unit, const std::string& meaning) {
+  void integer(const std::string& name, T& target, double low, double high, const std::string& unit,
+               const std::string& meaning) {
     const std::string range = fmt::format("{:.0f} to {:.0f}", low, high);
     add(ConfigKey{name, meaning, unit, range, fmt::format("{}", target)},
         [&target, low, high, range](const toml::node& node) -> std::string {
@@ -97,9 +99,11 @@ class Schema {
         [&target, choices, range](const toml::node& node) -> std::string {
           const auto value = node.is_string() ? node.value<std::string>() : std::nullopt;
           if (!value) return "expected a string";
-          if (!choices.empty() && std::find(choices.begin(), choices.end(), *value) == choices.end()) {
+          if (!choices.empty() &&
+              std::find(choices.begin(), choices.end(), *value) == choices.end()) {
             const std::string near = nearest_name(*value, choices);
-            return "expected one of " + range + (near.empty() ? "" : "; did you mean '" + near + "'?");
+            return "expected one of " + range +
+                   (near.empty() ? "" : "; did you mean '" + near + "'?");
           }
           target = *value;
           return "";
@@ -116,7 +120,8 @@ class Schema {
         });
   }
 
-  void texts(const std::string& name, std::vector<std::string>& target, const std::string& meaning) {
+  void texts(const std::string& name, std::vector<std::string>& target,
+             const std::string& meaning) {
     add(ConfigKey{name, meaning, "", "list of strings", list_text(target)},
         [&target](const toml::node& node) -> std::string {
           const toml::array* array = node.as_array();
@@ -148,9 +153,7 @@ class Schema {
         });
   }
 
-  void add(ConfigKey key, Read read) {
-    bindings.push_back({std::move(key), std::move(read)});
-  }
+  void add(ConfigKey key, Read read) { bindings.push_back({std::move(key), std::move(read)}); }
 
   void capture_keys(RunConfig& c) {
     path("capture.path", c.capture.path, "folder of the photographs and their cameras");
@@ -171,42 +174,56 @@ class Schema {
       integer(name + "levels", grid->levels, 1, 32, "", "levels of the hash grid");
       integer(name + "base", grid->base, 2, 512, "cells", "resolution of its coarsest level");
       integer(name + "finest", grid->finest, 2, 65536, "cells", "resolution of its finest level");
-      integer(name + "log2_size", grid->log2_size, 8, 24, "", "log2 of the entries a level at most");
+      integer(name + "log2_size", grid->log2_size, 8, 24, "",
+              "log2 of the entries a level at most");
     }
-    integer("field.occupancy", f.shape.occupancy, 16, 512, "cells", "side of the occupancy grid, a multiple of 8");
+    integer("field.occupancy", f.shape.occupancy, 16, 512, "cells",
+            "side of the occupancy grid, a multiple of 8");
     integer("field.steps", f.steps, 1, 1e7, "", "training steps");
-    integer("field.samples_per_step", f.samples_per_step, 1024, 1 << 24, "", "samples a step takes");
+    integer("field.samples_per_step", f.samples_per_step, 1024, 1 << 24, "",
+            "samples a step takes");
     integer("field.ray_steps", f.ray_steps, 16, 8192, "", "steps across the box's diagonal");
     number("field.rate", f.rate, 1e-7, 1, "", "Adam's learning rate at its peak");
-    integer("field.warmup", f.warmup, 0, 1e6, "steps", "linear warm-up, at most a tenth of all steps");
-    number("field.diffuse_share", f.diffuse_share, 0, 1, "", "share of the steps with diffuse colour only");
+    integer("field.warmup", f.warmup, 0, 1e6, "steps",
+            "linear warm-up, at most a tenth of all steps");
+    number("field.diffuse_share", f.diffuse_share, 0, 1, "",
+           "share of the steps with diffuse colour only");
     number("field.mask_weight", f.mask_weight, 0, 1e6, "", "weight of the mask loss");
-    number("field.specular_weight", f.specular_weight, 0, 1e6, "", "weight of the specular part's square");
+    number("field.specular_weight", f.specular_weight, 0, 1e6, "",
+           "weight of the specular part's square");
     number("field.tv_weight", f.tv_weight, 0, 1e6, "", "weight of total variation on the grids");
-    integer("field.checkpoint_every", f.checkpoint_every, 1, 1e7, "steps", "steps between checkpoints");
+    integer("field.checkpoint_every", f.checkpoint_every, 1, 1e7, "steps",
+            "steps between checkpoints");
   }
 
   void mesh_keys(RunConfig& c) {
     MeshOptions& m = c.mesh;
     integer("mesh.resolution", m.resolution, 16, 1024, "points", "side of the marching-cubes grid");
     number("mesh.iso", m.iso, 1e-3, 1e6, "", "density of the surface, at most the field's mean");
-    number("mesh.min_component", m.min_component, 0, 1, "", "components below this share of the diameter go");
+    number("mesh.min_component", m.min_component, 0, 1, "",
+           "components below this share of the diameter go");
     integer("mesh.target_faces", m.target_faces, 100, 5e6, "faces", "faces after simplification");
     integer("mesh.min_faces", m.min_faces, 0, 5e6, "faces", "refinement does not thin below this");
-    integer("mesh.max_faces", m.max_faces, 100, 1e7, "faces", "refinement does not split beyond this");
+    integer("mesh.max_faces", m.max_faces, 100, 1e7, "faces",
+            "refinement does not split beyond this");
     integer("mesh.refine_steps", m.refine_steps, 0, 1e6, "", "refinement steps");
     integer("mesh.views_per_step", m.views_per_step, 1, 64, "", "photographs a refinement step");
     number("mesh.vertex_rate", m.vertex_rate, 0, 1, "", "learning rate of vertex offsets");
     number("mesh.appearance_rate", m.appearance_rate, 0, 1, "", "learning rate of the appearance");
     number("mesh.mask_weight", m.mask_weight, 0, 1e6, "", "weight of the mask loss");
-    number("mesh.laplacian_weight", m.laplacian_weight, 0, 1e6, "", "weight of the uniform Laplacian");
+    number("mesh.laplacian_weight", m.laplacian_weight, 0, 1e6, "",
+           "weight of the uniform Laplacian");
     number("mesh.offset_weight", m.offset_weight, 0, 1e6, "", "weight of the offsets' square");
-    shares("mesh.remesh_at", m.remesh_at, "shares of the steps at which faces are split and thinned");
-    number("mesh.split_share", m.split_share, 0, 1, "", "share of faces, worst error first, that is split");
-    number("mesh.decimate_share", m.decimate_share, 0, 1, "", "share of faces, best error first, that is thinned");
+    shares("mesh.remesh_at", m.remesh_at,
+           "shares of the steps at which faces are split and thinned");
+    number("mesh.split_share", m.split_share, 0, 1, "",
+           "share of faces, worst error first, that is split");
+    number("mesh.decimate_share", m.decimate_share, 0, 1, "",
+           "share of faces, best error first, that is thinned");
     number("mesh.decimate_ratio", m.decimate_ratio, 0.01, 1, "", "share of those that is kept");
     number("mesh.min_edge", m.min_edge, 0, 1, "object box / 2", "edges are not split below this");
-    integer("mesh.checkpoint_every", m.checkpoint_every, 1, 1e7, "steps", "steps between checkpoints");
+    integer("mesh.checkpoint_every", m.checkpoint_every, 1, 1e7, "steps",
+            "steps between checkpoints");
   }
 
   void attack_keys(RunConfig& c) {
@@ -225,19 +242,24 @@ class Schema {
     integer("attack.steps", a.steps, 1, 1e7, "", "optimisation steps");
     integer("attack.views_per_step", a.views_per_step, 1, 256, "", "fresh views a step");
     integer("attack.image_size", a.image_size, 16, 4096, "pixels", "side of the rendered pictures");
-    text("attack.view_distribution", a.view_distribution, view_distribution_names(), "where views are drawn from");
+    text("attack.view_distribution", a.view_distribution, view_distribution_names(),
+         "where views are drawn from");
     number("attack.appearance_rate", a.appearance_rate, 0, 1, "", "learning rate of grid and MLP");
     number("attack.vertex_rate", a.vertex_rate, 0, 1, "", "learning rate of vertex offsets");
     number("attack.final_rate", a.final_rate, 1e-4, 1, "", "share of the rates left at the end");
-    integer("attack.checkpoint_every", a.checkpoint_every, 1, 1e7, "steps", "steps between checkpoints");
+    integer("attack.checkpoint_every", a.checkpoint_every, 1, 1e7, "steps",
+            "steps between checkpoints");
   }
 
   void eot_keys(RunConfig& c) {
     EotOptions& e = c.attack.eot;
-    number("attack.eot.scale_low", e.scale_low, 0.05, 4, "", "smallest size of the picture in the frame");
-    number("attack.eot.scale_high", e.scale_high, 0.05, 4, "", "largest size of the picture in the frame");
+    number("attack.eot.scale_low", e.scale_low, 0.05, 4, "",
+           "smallest size of the picture in the frame");
+    number("attack.eot.scale_high", e.scale_high, 0.05, 4, "",
+           "largest size of the picture in the frame");
     number("attack.eot.shift", e.shift, 0, 1, "frame sides", "place in the frame, each way");
-    number("attack.eot.rotation_deg", e.rotation_deg, 0, 180, "degrees", "in-plane rotation, each way");
+    number("attack.eot.rotation_deg", e.rotation_deg, 0, 180, "degrees",
+           "in-plane rotation, each way");
     number("attack.eot.brightness", e.brightness, 0, 1, "", "factor 1 - b to 1 + b");
     number("attack.eot.contrast", e.contrast, 0, 1, "", "factor 1 - c to 1 + c");
     number("attack.eot.saturation", e.saturation, 0, 1, "", "factor 1 - s to 1 + s");
@@ -250,13 +272,17 @@ class Schema {
   void bake_and_evaluate_keys(RunConfig& c) {
     integer("bake.resolution", c.bake_resolution, 64, 16384, "texels", "side of the texture");
     integer("bake.padding", c.bake_padding, 0, 64, "texels", "space between charts");
-    number("bake.unwrap_time_limit", c.unwrap_time_limit, 1, 1e5, "seconds", "time limit of the unwrap");
-    text("evaluate.true_class", c.true_class, {}, "class of the object; empty: no accuracy figures");
+    number("bake.unwrap_time_limit", c.unwrap_time_limit, 1, 1e5, "seconds",
+           "time limit of the unwrap");
+    text("evaluate.true_class", c.true_class, {},
+         "class of the object; empty: no accuracy figures");
     texts("evaluate.victims", c.victims, "models that are scored");
     integer("evaluate.views", c.evaluate_views, 1, 1e6, "", "held-out random views");
-    text("evaluate.view_distribution", c.evaluate_distribution, view_distribution_names(), "where views are drawn from");
+    text("evaluate.view_distribution", c.evaluate_distribution, view_distribution_names(),
+         "where views are drawn from");
     integer("evaluate.size", c.evaluate_size, 16, 8192, "pixels", "side of the pictures");
-    text("evaluate.background", c.evaluate_background, {}, "white, #rrggbb or a folder of photographs");
+    text("evaluate.background", c.evaluate_background, {},
+         "white, #rrggbb or a folder of photographs");
   }
 };
 
@@ -271,8 +297,10 @@ void for_each_leaf(const toml::table& table, const std::string& prefix,
                    const std::function<void(const std::string&, const toml::node&)>& visit) {
   for (const auto& [key, node] : table) {
     const std::string name = prefix + std::string(key.str());
-    if (const toml::table* inner = node.as_table()) for_each_leaf(*inner, name + ".", visit);
-    else visit(name, node);
+    if (const toml::table* inner = node.as_table())
+      for_each_leaf(*inner, name + ".", visit);
+    else
+      visit(name, node);
   }
 }
 
@@ -323,7 +351,8 @@ RunConfig load_config(const std::filesystem::path& path) {
   try {
     table = toml::parse(bytes, path.string());
   } catch (const toml::parse_error& error) {
-    throw InputError(path, static_cast<long>(error.source().begin.line), std::string(error.description()));
+    throw InputError(path, static_cast<long>(error.source().begin.line),
+                     std::string(error.description()));
   }
   for_each_leaf(table, "", [&](const std::string& name, const toml::node& node) {
     apply(config, name, node, [&](const std::string& problem) {
@@ -331,10 +360,11 @@ RunConfig load_config(const std::filesystem::path& path) {
     });
   });
   if (!config.capture.path.empty() && config.capture.path.is_relative()) {
-    config.capture.path =
-        std::filesystem::weakly_canonical(std::filesystem::absolute(path).parent_path() / config.capture.path);
+    config.capture.path = std::filesystem::weakly_canonical(
+        std::filesystem::absolute(path).parent_path() / config.capture.path);
   }
-  const bool folder = config.evaluate_background != "white" && !config.evaluate_background.starts_with("#");
+  const bool folder =
+      config.evaluate_background != "white" && !config.evaluate_background.starts_with("#");
   if (folder && std::filesystem::path(config.evaluate_background).is_relative()) {
     config.evaluate_background =
         (std::filesystem::absolute(path).parent_path() / config.evaluate_background).string();
@@ -354,7 +384,7 @@ void set_config(RunConfig& config, const std::string& assignment) {
   try {
     table = toml::parse("value = " + value);
   } catch (const toml::parse_error&) {
-    table = toml::table{{"value", value}};   // a bare word
+    table = toml::table{{"value", value}};  // a bare word
   }
   apply(config, name, *table.get("value"), fail);
   check_relations(config, "--set");
@@ -369,7 +399,8 @@ std::string config_toml(const RunConfig& config) {
       out += "\n[" + own + "]\n";
       section = own;
     }
-    out += (dot == std::string::npos ? key.name : key.name.substr(dot + 1)) + " = " + key.value + "\n";
+    out +=
+        (dot == std::string::npos ? key.name : key.name.substr(dot + 1)) + " = " + key.value + "\n";
   }
   return out;
 }

@@ -31,7 +31,8 @@ std::string differing_keys(const json& before, const json& now) {
   for (const auto& [name, value] : now.items()) {
     const std::string old = before.contains(name) ? before[name].get<std::string>() : "absent";
     if (old != value.get<std::string>()) {
-      out += (out.empty() ? "" : ", ") + name + " (" + old + " -> " + value.get<std::string>() + ")";
+      out +=
+          (out.empty() ? "" : ", ") + name + " (" + old + " -> " + value.get<std::string>() + ")";
     }
   }
   return out;
@@ -48,7 +49,8 @@ json read_run_file(const fs::path& path) {
 }  // namespace
 
 const std::vector<std::string>& Run::stage_names() {
-  static const std::vector<std::string> names = {"field", "mesh", "attack", "bake", "evaluate", "report"};
+  static const std::vector<std::string> names = {"field", "mesh",     "attack",
+                                                 "bake",  "evaluate", "report"};
   return names;
 }
 
@@ -66,7 +68,8 @@ Run::Run(const fs::path& folder, const RunConfig& config, bool restart)
     save();
     return;
   }
-  const std::string different = differing_keys(read_run_file(record).value("config", json::object()), config_json(config_));
+  const std::string different =
+      differing_keys(read_run_file(record).value("config", json::object()), config_json(config_));
   if (!different.empty()) {
     throw InputError(folder_, "was made with another configuration: " + different +
                                   "; choose another --out, or --restart to start over");
@@ -77,7 +80,8 @@ Run::Run(const fs::path& folder, const RunConfig& config, bool restart)
 Run Run::open(const fs::path& folder) {
   const fs::path record = fs::absolute(folder) / kRunFile;
   if (!fs::exists(record)) {
-    throw InputError(folder, "is not a run folder (no run.json); 'tt3d fit' or 'tt3d run' makes one");
+    throw InputError(folder,
+                     "is not a run folder (no run.json); 'tt3d fit' or 'tt3d run' makes one");
   }
   Run run;
   run.folder_ = fs::absolute(folder);
@@ -106,7 +110,8 @@ void Run::lock() {
   const fs::path path = folder_ / ".lock";
   lock_fd_ = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
   if (lock_fd_ < 0) {
-    throw ResourceError(folder_.string() + ": cannot write here; choose a folder that can be written");
+    throw ResourceError(folder_.string() +
+                        ": cannot write here; choose a folder that can be written");
   }
   if (::flock(lock_fd_, LOCK_EX | LOCK_NB) != 0) {
     throw InputError(folder_, "is in use by another tt3d; wait for it or choose another --out");
@@ -116,7 +121,8 @@ void Run::lock() {
 void Run::save() const {
   json stages = json::array();
   for (const StageRecord& s : stages_) {
-    stages.push_back({{"name", s.name}, {"seconds", s.seconds}, {"peak_rss_bytes", s.peak_rss_bytes}});
+    stages.push_back(
+        {{"name", s.name}, {"seconds", s.seconds}, {"peak_rss_bytes", s.peak_rss_bytes}});
   }
   const json j = {{"config", config_json(config_)},
                   {"seed", config_.seed},
@@ -170,17 +176,24 @@ void Run::run_until(const std::string& last, Progress& progress) {
 }
 
 void Run::run_stage(const std::string& name, Progress& progress) {
-  if (name == "field") run_field(progress);
-  else if (name == "mesh") run_mesh(progress);
-  else if (name == "attack") run_attack_stage(progress);
-  else if (name == "bake") run_bake(progress);
-  else if (name == "evaluate") run_evaluate(progress);
-  else run_report(progress);
+  if (name == "field")
+    run_field(progress);
+  else if (name == "mesh")
+    run_mesh(progress);
+  else if (name == "attack")
+    run_attack_stage(progress);
+  else if (name == "bake")
+    run_bake(progress);
+  else if (name == "evaluate")
+    run_evaluate(progress);
+  else
+    run_report(progress);
 }
 
 const Capture& Run::capture(Progress& progress) {
   if (!capture_) {
-    if (config_.capture.path.empty()) throw InputError("capture.path: expected a folder of photographs");
+    if (config_.capture.path.empty())
+      throw InputError("capture.path: expected a folder of photographs");
     capture_ = std::make_shared<Capture>(load_capture(config_.capture, progress));
     for (const std::string& file : capture_->files) input_hashes_[file] = sha256_file(file);
   }

@@ -41,15 +41,20 @@ Camera world_camera(Camera camera, const Normalization& n) {
 void write_json(const fs::path& path, const json& j) { write_file_atomic(path, j.dump(1) + "\n"); }
 
 /// An attack's result that changed nothing: how the refined mesh is stored.
-AttackResult as_result(const RefinedMesh& refined) { return {refined.mesh, refined.appearance, {}}; }
+AttackResult as_result(const RefinedMesh& refined) {
+  return {refined.mesh, refined.appearance, {}};
+}
 
 double mesh_psnr(const RefinedMesh& r, const Capture& capture, Progress& progress) {
   const RenderMesh prepared(r.mesh.faces);
   at::NoGradGuard guard;
-  return mean_psnr(capture.test, [&](const Camera& camera) {
-    return render_mesh(r.mesh.vertices, r.mesh.vertices, prepared, {camera},
-                       [&](const Tensor& x) { return r.appearance.color(x); })[0];
-  }, progress);
+  return mean_psnr(
+      capture.test,
+      [&](const Camera& camera) {
+        return render_mesh(r.mesh.vertices, r.mesh.vertices, prepared, {camera},
+                           [&](const Tensor& x) { return r.appearance.color(x); })[0];
+      },
+      progress);
 }
 
 }  // namespace
@@ -61,7 +66,8 @@ void Run::run_field(Progress& progress) {
   const RadianceField field = fit_field(photos, config_.field, config_.seed, checkpoint, progress);
   const double step = ray_step(config_.field);
   const double psnr = mean_psnr(
-      photos.test, [&](const Camera& camera) { return render_field(field, camera, step); }, progress);
+      photos.test, [&](const Camera& camera) { return render_field(field, camera, step); },
+      progress);
   field.save(folder / "field.safetensors");
   write_json(folder / "metrics.json", {{"psnr_test", psnr}, {"test_views", photos.test.size()}});
   fs::remove(checkpoint);
@@ -122,7 +128,8 @@ void Run::run_bake(Progress& progress) {
   progress.update(1, {});
   write_view_frame(world_frame(photos), folder);
   int64_t done = 1;
-  for (const auto& [name, result] : {std::pair{"clean", &clean}, std::pair{"adversarial", &adversarial}}) {
+  for (const auto& [name, result] :
+       {std::pair{"clean", &clean}, std::pair{"adversarial", &adversarial}}) {
     progress.check();
     TexturedMesh asset;
     asset.vertices = to_world(result->mesh.vertices, n);
@@ -138,9 +145,10 @@ void Run::run_bake(Progress& progress) {
   }
   progress.end();
   const AssetRenderer renderer(load_asset(folder / "clean.glb"));
-  const double psnr = mean_psnr(photos.test, [&](const Camera& camera) {
-    return renderer.render({world_camera(camera, n)})[0];
-  }, progress);
+  const double psnr = mean_psnr(
+      photos.test,
+      [&](const Camera& camera) { return renderer.render({world_camera(camera, n)})[0]; },
+      progress);
   json metrics = json::parse(read_file(folder_ / "mesh" / "metrics.json"));
   metrics["psnr_test_baked"] = psnr;
   write_json(folder_ / "mesh" / "metrics.json", metrics);
@@ -175,9 +183,12 @@ std::vector<std::string> csv_fields(const std::string& line) {
   std::vector<std::string> fields(1);
   bool quotes = false;
   for (const char c : line) {
-    if (c == '"') quotes = !quotes;
-    else if (c == ',' && !quotes) fields.emplace_back();
-    else fields.back() += c;
+    if (c == '"')
+      quotes = !quotes;
+    else if (c == ',' && !quotes)
+      fields.emplace_back();
+    else
+      fields.back() += c;
   }
   return fields;
 }
@@ -198,11 +209,13 @@ std::vector<CsvRow> read_rows(const fs::path& path) {
 /// The contact sheet: the first views of the evaluation, drawn again, with the recorded answers.
 std::vector<ReportView> report_views(const fs::path& run, const json& record, int64_t count) {
   const fs::path clean_path = run / "asset" / "clean.glb";
-  const TexturedMesh clean = load_asset(clean_path), adversarial = load_asset(run / "asset" / "adversarial.glb");
+  const TexturedMesh clean = load_asset(clean_path),
+                     adversarial = load_asset(run / "asset" / "adversarial.glb");
   const AssetRenderer clean_renderer(clean), adversarial_renderer(adversarial);
   const auto rows = read_rows(run / "eval" / "builtin.csv");
-  const auto views = evaluation_views(record["views"]["distribution"], record["views"]["seed"], count, 200,
-                                      asset_view_frame(adversarial, run / "asset" / "adversarial.glb"));
+  const auto views =
+      evaluation_views(record["views"]["distribution"], record["views"]["seed"], count, 200,
+                       asset_view_frame(adversarial, run / "asset" / "adversarial.glb"));
   std::vector<ReportView> out;
   const auto picture = [&](const AssetRenderer& renderer, const Camera& camera) {
     return to_uint8(over_background(renderer.render({camera})[0], at::ones({3})).contiguous());
@@ -231,18 +244,20 @@ void Run::run_report(Progress& progress) {
   input.record_json = read_file(folder_ / "eval" / "builtin.json");
   const json record = json::parse(input.record_json);
   const std::string target = record["target"]["name"];
-  const std::string object = record["true_class"].is_null() ? "object" : record["true_class"]["name"].get<std::string>();
+  const std::string object =
+      record["true_class"].is_null() ? "object" : record["true_class"]["name"].get<std::string>();
   input.title = object + " taken for " + target;
   input.clean_glb = folder_ / "asset" / "clean.glb";
   input.adversarial_glb = folder_ / "asset" / "adversarial.glb";
   input.curves_csv = read_file(folder_ / "attack" / "curves.csv");
   input.config_toml = config_toml(config_);
-  save();   // stages so far
+  save();  // stages so far
   input.run_json = read_file(folder_ / "run.json");
   input.field_metrics_json = read_file(folder_ / "field" / "metrics.json");
   input.mesh_metrics_json = read_file(folder_ / "mesh" / "metrics.json");
   constexpr int64_t kSheet = 12;
-  input.views = report_views(folder_, record, std::min(kSheet, record["views"]["count"].get<int64_t>()));
+  input.views =
+      report_views(folder_, record, std::min(kSheet, record["views"]["count"].get<int64_t>()));
   write_report(input, folder_ / "report.html");
   progress.update(1, {});
   progress.end();

@@ -76,7 +76,8 @@ TEST(Attack, ReachesEveryTargetOfAToyClassifier) {
       o.method = method;
       const AttackResult r = run_attack(ball_input(target), o, 1, folder / "c", quiet);
       double success = 0;
-      for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i) success += r.curves[i].success;
+      for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i)
+        success += r.curves[i].success;
       EXPECT_GE(success, 9.0) << method << " " << target;
     }
   }
@@ -172,7 +173,8 @@ TEST(Eot, IdentityWhenEveryRangeIsZero) {
   o.plain_background = 0;
   Tensor x = testing::uniform({2, 4, 16, 16}, 0, 1, 3).to(at::kFloat);
   x.select(1, 3).fill_(1);
-  EXPECT_LT((transform_images(x, 16, o, 1, 0) - x.narrow(1, 0, 3)).abs().max().item<double>(), 1e-5);
+  EXPECT_LT((transform_images(x, 16, o, 1, 0) - x.narrow(1, 0, 3)).abs().max().item<double>(),
+            1e-5);
 }
 
 TEST(Eot, EachTransformActsAndDependsOnTheStep) {

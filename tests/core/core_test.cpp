@@ -52,11 +52,10 @@ TEST(Files, FailedWriterLeavesOldContentAndNoTemporary) {
   testing::TemporaryFolder folder;
   const auto path = folder / "file.txt";
   write_file_atomic(path, "old");
-  EXPECT_THROW(write_file_atomic(path,
-                                 [](const std::filesystem::path&) -> void {
-                                   throw ResourceError("disk full");
-                                 }),
-               ResourceError);
+  EXPECT_THROW(
+      write_file_atomic(
+          path, [](const std::filesystem::path&) -> void { throw ResourceError("disk full"); }),
+      ResourceError);
   EXPECT_EQ(read_file(path), "old");
   EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder.path()), {}), 1);
 }

@@ -26,8 +26,10 @@ TexturedMesh ball(float red, float green, float blue) {
   mesh.vertices = s.vertices;
   mesh.faces = s.faces;
   mesh.uvs = at::tensor({0.25F, 0.25F, 0.75F, 0.25F, 0.5F, 0.75F}).view({3, 2});
-  mesh.uv_faces = at::tensor({0, 1, 2}, at::kInt).view({1, 3}).expand({s.faces.size(0), 3}).contiguous();
-  mesh.texture = (at::tensor({red, green, blue}) * 255).round().to(at::kByte).expand({8, 8, 3}).contiguous();
+  mesh.uv_faces =
+      at::tensor({0, 1, 2}, at::kInt).view({1, 3}).expand({s.faces.size(0), 3}).contiguous();
+  mesh.texture =
+      (at::tensor({red, green, blue}) * 255).round().to(at::kByte).expand({8, 8, 3}).contiguous();
   return mesh;
 }
 
@@ -129,17 +131,22 @@ TEST(EvaluateAsset, FiguresEqualACountByHand) {
   // By hand, from the pictures: render, resize and crop as the card says, ask the model.
   const auto model = Classifier::load(kToy);
   const AssetRenderer adversarial(load_asset(o.asset)), clean(load_asset(o.clean));
-  const auto views = evaluation_views("dome", 0, 23, 32, asset_view_frame(load_asset(o.asset), o.asset));
+  const auto views =
+      evaluation_views("dome", 0, 23, 32, asset_view_frame(load_asset(o.asset), o.asset));
   int64_t hits = 0, correct = 0, both = 0;
   double psnr_sum = 0;
   for (const SampledView& view : views) {
     const auto picture = [&](const AssetRenderer& renderer) {
-      return (over_background(renderer.render({view.camera})[0], at::ones({3})).clamp(0, 1) * 255).round() / 255;
+      return (over_background(renderer.render({view.camera})[0], at::ones({3})).clamp(0, 1) * 255)
+                 .round() /
+             255;
     };
     const auto top1 = [&](const Tensor& x) {
       at::NoGradGuard guard;
-      return model->logits(preprocess(x.permute({2, 0, 1}).unsqueeze(0).contiguous(), model->card()))
-          .argmax(1).item<int64_t>();
+      return model
+          ->logits(preprocess(x.permute({2, 0, 1}).unsqueeze(0).contiguous(), model->card()))
+          .argmax(1)
+          .item<int64_t>();
     };
     const bool hit = top1(picture(adversarial)) == r.target.index;
     const bool right = top1(picture(clean)) == r.true_class.index;
@@ -206,7 +213,7 @@ TEST(EvaluateAsset, MistakesAreInputErrors) {
     EXPECT_THROW((void)evaluate_asset(o, quiet), InputError);
   };
   refuses([](EvaluateOptions& o) { o.target = "no such class"; });
-  refuses([](EvaluateOptions& o) { o.target = "crane"; });   // ambiguous
+  refuses([](EvaluateOptions& o) { o.target = "crane"; });  // ambiguous
   refuses([](EvaluateOptions& o) { o.victims = {"no-such-model"}; });
   refuses([](EvaluateOptions& o) { o.victims = {}; });
   refuses([](EvaluateOptions& o) { o.asset = "/nonexistent.glb"; });

@@ -21,12 +21,14 @@ Tensor reference_encode(const Tensor& x, const Tensor& table, const HashGridShap
   std::vector<Tensor> rows;
   int64_t offset = 0;
   for (int64_t l = 0; l < shape.levels; ++l) {
-    const double growth = std::log(double(shape.finest) / double(shape.base)) / double(shape.levels - 1);
+    const double growth =
+        std::log(double(shape.finest) / double(shape.base)) / double(shape.levels - 1);
     const double exact = double(shape.base) * std::exp(growth * double(l));
     const double scale = static_cast<double>(static_cast<float>(exact));
     const auto resolution = static_cast<int64_t>(std::ceil(exact)) + 2;
     const bool dense = resolution * resolution * resolution <= (int64_t{1} << shape.log2_size);
-    const int64_t size = dense ? resolution * resolution * resolution : int64_t{1} << shape.log2_size;
+    const int64_t size =
+        dense ? resolution * resolution * resolution : int64_t{1} << shape.log2_size;
     const Tensor position = ((x + 1) * 0.5).clamp(0, 1) * scale + 0.5;
     const Tensor cell = position.detach().floor();
     const Tensor fraction = position - cell;
@@ -170,7 +172,7 @@ TEST(Composite, UniformMediumHasItsAnalyticTransmittance) {
 
 TEST(MarchRays, SamplesLieInOccupiedCellsOnly) {
   Tensor occupied = at::zeros({8, 8, 8}, at::kByte);
-  occupied[3][4][5] = 1;   // z, y, x
+  occupied[3][4][5] = 1;  // z, y, x
   const Tensor origins = at::tensor({-3.F, 0.125F, -0.125F}).view({1, 3});
   const Tensor directions = at::tensor({1.F, 0.F, 0.F}).view({1, 3});
   const RaySamples s = march_rays(origins, directions, occupied, at::zeros({1}), 0.01, 0.05);
@@ -210,8 +212,8 @@ TEST(FieldKernels, SameBytesWithOneAndTwoThreads) {
     const Tensor y = mlp(hash_encode(x, table, shape), {w});
     const Tensor grad = at::ones_like(y);
     y.backward(grad);
-    results.push_back(at::cat({y.detach().flatten(), x.grad().flatten(), table.grad().flatten(),
-                               w.grad().flatten()}));
+    results.push_back(at::cat(
+        {y.detach().flatten(), x.grad().flatten(), table.grad().flatten(), w.grad().flatten()}));
   }
   at::set_num_threads(before);
   EXPECT_TRUE(at::equal(results[0], results[1]));

@@ -124,7 +124,7 @@ TEST(FitField, CaptureWithoutMasksIsRefused) {
 TEST(FitField, DivergenceRollsBackThreeTimesAndThenStops) {
   const Capture capture = testing::ball_capture(4, 16);
   FieldOptions o = small_options();
-  o.rate = 1e30;   // weights overflow at once
+  o.rate = 1e30;  // weights overflow at once
   o.warmup = 0;
   struct Notes : Progress {
     void note(const std::string&) override { ++count; }

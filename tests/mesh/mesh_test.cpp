@@ -91,13 +91,13 @@ TEST(Repair, DuplicatesNullAndBackToBackFacesGo) {
   const Tensor extra = at::tensor({0, 0, 1, 0, 2, 4, 3, 1, 5, 1, 3, 5}, at::kInt).view({4, 3});
   const TriMesh dirty = {s.vertices, at::cat({s.faces, s.faces.narrow(0, 0, 2), extra})};
   const MeshFacts facts = inspect(repair(dirty));
-  EXPECT_EQ(facts.faces, s.faces.size(0) + 1);   // the single extra face 0,2,4 remains
+  EXPECT_EQ(facts.faces, s.faces.size(0) + 1);  // the single extra face 0,2,4 remains
   EXPECT_EQ(inspect(repair({s.vertices, at::cat({s.faces, s.faces})})).faces, s.faces.size(0));
 }
 
 TEST(Repair, TwoTetrahedraAtAnEdgeComeApart) {
   // Closed, but the shared edge 0-1 has four faces.
-  const std::vector<std::array<float, 3>> v = {{0, 0, 0}, {0, 0, 1}, {1, 0, 0},
+  const std::vector<std::array<float, 3>> v = {{0, 0, 0}, {0, 0, 1},  {1, 0, 0},
                                                {1, 1, 0}, {-1, 0, 0}, {-1, -1, 0}};
   const auto tetrahedron = [](int32_t a, int32_t b, int32_t c, int32_t d) {
     return std::vector<std::array<int32_t, 3>>{{a, b, c}, {a, d, b}, {b, d, c}, {a, c, d}};
@@ -180,8 +180,8 @@ TEST(Regularizer, ChamferSearchesWhenVerticesTravelFar) {
   const MeshRegularizer regularizer(mesh);
   // A rotation by a quarter turn maps the vertex set onto itself: distance 0, although every
   // vertex left its own place.
-  const Tensor turned = at::stack({-mesh.vertices.select(1, 1), mesh.vertices.select(1, 0),
-                                   mesh.vertices.select(1, 2)}, 1);
+  const Tensor turned = at::stack(
+      {-mesh.vertices.select(1, 1), mesh.vertices.select(1, 0), mesh.vertices.select(1, 2)}, 1);
   EXPECT_LT(regularizer.chamfer(turned).item<double>(), 1e-10);
   EXPECT_NEAR(regularizer.chamfer(mesh.vertices * 1.01).item<double>(), 2e-4, 1e-6);
 }
@@ -195,7 +195,7 @@ TEST(WritePly, CountsAndUnits) {
   EXPECT_NE(bytes.find("element face 32"), std::string::npos);
   float first[3];
   std::memcpy(first, bytes.data() + bytes.find("end_header\n") + 11, sizeof first);
-  EXPECT_FLOAT_EQ(first[0], 3);   // (1,0,0) / 0.5 + centre
+  EXPECT_FLOAT_EQ(first[0], 3);  // (1,0,0) / 0.5 + centre
   EXPECT_FLOAT_EQ(first[1], 2);
 }
 

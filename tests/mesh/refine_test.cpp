@@ -51,14 +51,17 @@ TEST(RefineMesh, FindsTheBallFromATooSmallOne) {
                                     1, folder / "c", quiet);
   const MeshFacts facts = inspect(r.mesh);
   EXPECT_TRUE(facts.closed());
-  EXPECT_NE(facts.faces, start.faces.size(0));   // faces were split or thinned
+  EXPECT_NE(facts.faces, start.faces.size(0));  // faces were split or thinned
   EXPECT_NEAR(r.mesh.vertices.norm(2, {1}).mean().item<double>(), 0.6, 0.02);
   const RenderMesh prepared(r.mesh.faces);
   at::NoGradGuard guard;
-  const double psnr = mean_psnr(capture.test, [&](const Camera& camera) {
-    return render_mesh(r.mesh.vertices, r.mesh.vertices, prepared, {camera},
-                       [&](const Tensor& x) { return r.appearance.color(x); })[0];
-  }, quiet);
+  const double psnr = mean_psnr(
+      capture.test,
+      [&](const Camera& camera) {
+        return render_mesh(r.mesh.vertices, r.mesh.vertices, prepared, {camera},
+                           [&](const Tensor& x) { return r.appearance.color(x); })[0];
+      },
+      quiet);
   EXPECT_GT(psnr, 24);
 }
 

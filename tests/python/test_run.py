@@ -240,7 +240,8 @@ def test_full_disk(tmp_path: Path) -> None:
         pytest.skip("needs root to mount a small file system")
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", disk], check=False)
+    mount = ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", disk]
+    mounted = subprocess.run(mount, check=False)
     if mounted.returncode != 0:
         pytest.skip("cannot mount here")
     try:

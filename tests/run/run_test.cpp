@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <set>
+
 #include "support/temporary_folder.h"
 
 namespace tt3d {
@@ -33,7 +35,8 @@ TEST(Config, WrongTypeAndRange) {
   expect_contains(error_of("[attack]\nbeta = -1\n"), {"c.toml:2:", "attack.beta", "0 to"});
   expect_contains(error_of("[attack]\nsteps = 1.5\n"), {"attack.steps", "integer"});
   expect_contains(error_of("[attack]\nsurrogates = \"x\"\n"), {"attack.surrogates", "list"});
-  expect_contains(error_of("[attack]\nmethod = \"duel\"\n"), {"attack.method", "did you mean 'dual'"});
+  expect_contains(error_of("[attack]\nmethod = \"duel\"\n"),
+                  {"attack.method", "did you mean 'dual'"});
   expect_contains(error_of("[field]\noccupancy = 100\n"), {"field.occupancy", "multiple of 8"});
   expect_contains(error_of("[attack.eot]\nscale_low = 2.0\n"), {"scale_low", "scale_high"});
   expect_contains(error_of("seed = = 2\n"), {"c.toml:1:"});
@@ -59,9 +62,9 @@ TEST(Config, KeysAreDocumentedAndUnique) {
     EXPECT_TRUE(names.insert(key.name).second) << key.name;
     EXPECT_FALSE(key.meaning.empty()) << key.name;
   }
-  for (const char* contract : {"seed", "capture.path", "capture.format", "attack.method", "attack.target",
-                               "attack.surrogates", "attack.beta", "evaluate.true_class",
-                               "evaluate.victims", "evaluate.views"}) {
+  for (const char* contract : {"seed", "capture.path", "capture.format", "attack.method",
+                               "attack.target", "attack.surrogates", "attack.beta",
+                               "evaluate.true_class", "evaluate.victims", "evaluate.views"}) {
     EXPECT_TRUE(names.contains(contract)) << contract;
   }
 }
@@ -84,22 +87,22 @@ TEST(Config, SetTakesTomlAndBareWords) {
 TEST(RunFolder, ChangedConfigurationIsRefusedWithTheKeys) {
   testing::TemporaryFolder folder;
   RunConfig config;
-  { const Run run(folder / "r", config, false); }
+  { const tt3d::Run run(folder / "r", config, false); }
   config.attack.beta = 5;
   try {
-    const Run run(folder / "r", config, false);
+    const tt3d::Run run(folder / "r", config, false);
     FAIL();
   } catch (const InputError& error) {
     expect_contains(error.what(), {"attack.beta", "1000.0", "5.0", "--restart"});
   }
-  const Run run(folder / "r", config, true);
+  const tt3d::Run run(folder / "r", config, true);
   EXPECT_EQ(run.config().attack.beta, 5);
 }
 
 TEST(RunFolder, TwoProgramsDoNotShareIt) {
   testing::TemporaryFolder folder;
-  const Run run(folder / "r", {}, false);
-  EXPECT_THROW(Run(folder / "r", {}, false), InputError);
+  const tt3d::Run run(folder / "r", {}, false);
+  EXPECT_THROW(tt3d::Run(folder / "r", {}, false), InputError);
 }
 
 TEST(RunFolder, OpenRestoresTheConfiguration) {
@@ -107,15 +110,15 @@ TEST(RunFolder, OpenRestoresTheConfiguration) {
   RunConfig config;
   config.attack.steps = 17;
   config.attack_surrogates = {"x y", "z"};
-  { const Run run(folder / "r", config, false); }
-  const Run run = Run::open(folder / "r");
+  { const tt3d::Run run(folder / "r", config, false); }
+  const tt3d::Run run = tt3d::Run::open(folder / "r");
   EXPECT_EQ(run.config().attack.steps, 17);
   EXPECT_EQ(run.config().attack_surrogates[0], "x y");
-  EXPECT_THROW(Run::open(folder / "none"), InputError);
+  EXPECT_THROW(tt3d::Run::open(folder / "none"), InputError);
 }
 
 TEST(RunFolder, ReadOnlyPlaceIsAResourceError) {
-  EXPECT_THROW(Run("/proc/tt3d-run", {}, false), ResourceError);
+  EXPECT_THROW(tt3d::Run("/proc/tt3d-run", {}, false), ResourceError);
 }
 
 }  // namespace

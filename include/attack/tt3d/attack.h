@@ -21,9 +21,9 @@ namespace tt3d {
 
 /// What is optimised.
 struct AttackMethod {
-  bool grid = true;       ///< appearance grid
-  bool mlp = true;        ///< appearance MLP
-  bool vertices = true;   ///< vertex offsets
+  bool grid = true;      ///< appearance grid
+  bool mlp = true;       ///< appearance MLP
+  bool vertices = true;  ///< vertex offsets
 };
 /// dual (all), dual-texture-only (no vertices), mlp, grid (each with vertices). Throws InputError.
 [[nodiscard]] AttackMethod attack_method(const std::string& name);
@@ -32,14 +32,14 @@ struct AttackMethod {
 /// Ranges of the 2D transforms t, each drawn anew for every picture (expectation over
 /// transformation, Athalye et al. 2018). A range of zero switches a transform off.
 struct EotOptions {
-  double scale_low = 0.7, scale_high = 1.15;   ///< size of the picture in the frame
-  double shift = 0.1;          ///< of the frame's side, each way
-  double rotation_deg = 10;    ///< each way
-  double brightness = 0.2;     ///< factor U(1-b, 1+b)
-  double contrast = 0.2;       ///< likewise, around the picture's mean
-  double saturation = 0.2;     ///< likewise, around the grey picture
-  double blur = 1.0;           ///< Gaussian sigma U(0,blur) pixels
-  double noise = 0.02;         ///< Gaussian, sigma U(0,noise)
+  double scale_low = 0.7, scale_high = 1.15;  ///< size of the picture in the frame
+  double shift = 0.1;                         ///< of the frame's side, each way
+  double rotation_deg = 10;                   ///< each way
+  double brightness = 0.2;                    ///< factor U(1-b, 1+b)
+  double contrast = 0.2;                      ///< likewise, around the picture's mean
+  double saturation = 0.2;                    ///< likewise, around the grey picture
+  double blur = 1.0;                          ///< Gaussian sigma U(0,blur) pixels
+  double noise = 0.02;                        ///< Gaussian, sigma U(0,noise)
   double plain_background = 0.5;  ///< share of pictures on a random plain colour; the rest on white
 };
 
@@ -51,20 +51,20 @@ struct EotOptions {
 
 struct AttackOptions {
   std::string method = "dual";
-  std::string objective = "cross-entropy";   ///< cross-entropy, logit, margin
-  double beta = 1000;            ///< strength of naturalness
-  double rgb_weight = 1;         ///< l1
-  double chamfer_weight = 3000;  ///< l2
-  double laplacian_weight = 1e-3;  ///< l3
-  double edge_weight = 1e-2;     ///< l4
-  double psnr_floor = 0;         ///< dB; below 0 disables: R_rgb counts only beyond this error
+  std::string objective = "cross-entropy";  ///< cross-entropy, logit, margin
+  double beta = 1000;                       ///< strength of naturalness
+  double rgb_weight = 1;                    ///< l1
+  double chamfer_weight = 3000;             ///< l2
+  double laplacian_weight = 1e-3;           ///< l3
+  double edge_weight = 1e-2;                ///< l4
+  double psnr_floor = 0;  ///< dB; below 0 disables: R_rgb counts only beyond this error
   int64_t steps = 800;
   int64_t views_per_step = 6;
-  int64_t image_size = 256;      ///< rendered pixels a side
+  int64_t image_size = 256;  ///< rendered pixels a side
   std::string view_distribution = "dome";
   double appearance_rate = 1e-2;
   double vertex_rate = 1e-4;
-  double final_rate = 0.5;       ///< share of the rates left at the end (exponential)
+  double final_rate = 0.5;  ///< share of the rates left at the end (exponential)
   EotOptions eot;
   int64_t checkpoint_every = 50;
 };
@@ -75,7 +75,7 @@ struct AttackInput {
   Appearance appearance;
   ViewFrame frame;
   std::vector<std::shared_ptr<const Classifier>> surrogates;
-  std::vector<int64_t> targets;   ///< index of the target class in each surrogate's labels
+  std::vector<int64_t> targets;  ///< index of the target class in each surrogate's labels
 };
 
 /// One row of the log.
@@ -85,8 +85,8 @@ struct AttackCurvePoint {
 };
 
 struct AttackResult {
-  TriMesh mesh;            ///< V*, same faces
-  Appearance appearance;   ///< theta*
+  TriMesh mesh;           ///< V*, same faces
+  Appearance appearance;  ///< theta*
   std::vector<AttackCurvePoint> curves;
 };
 

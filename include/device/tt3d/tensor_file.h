@@ -14,7 +14,7 @@ namespace tt3d {
 
 /// The content of such a file. dtypes: F32, F64, I32, I64, U8.
 struct TensorFile {
-  std::filesystem::path path;   ///< for messages
+  std::filesystem::path path;  ///< for messages
   std::map<std::string, at::Tensor> tensors;
   std::map<std::string, std::string> metadata;
   /// The tensor of that name, shape and dtype; throws InputError naming what differs.

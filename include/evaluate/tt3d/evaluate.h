@@ -36,9 +36,9 @@ class AssetRenderer {
 
  private:
   TexturedMesh asset_;
-  at::Tensor texels_;      ///< [H,W,3] float
+  at::Tensor texels_;  ///< [H,W,3] float
   at::Tensor opposites_;
-  at::Tensor corner_uvs_, corner_faces_, corner_index_;   ///< for texture derivatives
+  at::Tensor corner_uvs_, corner_faces_, corner_index_;  ///< for texture derivatives
   double extent_ = 1;
 };
 
@@ -72,15 +72,15 @@ struct Interval {
 
 struct EvaluateOptions {
   std::filesystem::path asset;
-  std::filesystem::path clean;      ///< empty: no clean figures
-  std::string target;               ///< class, as find_class takes it
-  std::string true_class;           ///< empty: no accuracy figures
+  std::filesystem::path clean;  ///< empty: no clean figures
+  std::string target;           ///< class, as find_class takes it
+  std::string true_class;       ///< empty: no accuracy figures
   std::vector<std::string> victims;
   int64_t views = 100;
   std::string view_distribution = "dome";
   int size = 400;
   std::string background = "white";
-  uint64_t seed = 0;                ///< views are drawn from a stream of their own, apart from training's
+  uint64_t seed = 0;  ///< views are drawn from a stream of their own, apart from training's
 };
 
 /// A victim's answer to one view.
@@ -97,7 +97,7 @@ struct VictimRecord {
   Interval asr_ci95;
   std::optional<double> clean_accuracy, asr_on_correct;
   int64_t clean_n = 0, asr_on_correct_n = 0;
-  std::vector<ViewAnswer> answers;   ///< one a view
+  std::vector<ViewAnswer> answers;  ///< one a view
 };
 
 struct EvalRecord {

@@ -22,8 +22,8 @@ struct HashGridShape {
   int64_t levels = 16;
   int64_t base = 16;
   int64_t finest = 2048;
-  int64_t log2_size = 19;   ///< entries of a level at most 2^log2_size
-  int64_t features = 2;     ///< numbers an entry, 1 or 2
+  int64_t log2_size = 19;  ///< entries of a level at most 2^log2_size
+  int64_t features = 2;    ///< numbers an entry, 1 or 2
   /// Entries of all levels together.
   [[nodiscard]] int64_t entries() const;
 };
@@ -48,9 +48,9 @@ struct HashGridShape {
 
 /// Samples along rays, and where each ray's begin.
 struct RaySamples {
-  at::Tensor points;      ///< [S,3]
-  at::Tensor steps;       ///< [S] lengths
-  at::Tensor ray_begin;   ///< [R+1] int64
+  at::Tensor points;     ///< [S,3]
+  at::Tensor steps;      ///< [S] lengths
+  at::Tensor ray_begin;  ///< [R+1] int64
 };
 
 /// Marches rays through the occupied cells of [-1,1]^3 in steps of equal length.
@@ -85,7 +85,7 @@ struct FieldShape {
   int64_t density_hidden = 32;
   int64_t color_hidden = 64;
   int64_t specular_hidden = 32;
-  int64_t occupancy = 128;   ///< cells a side
+  int64_t occupancy = 128;  ///< cells a side
 };
 
 /// Appearance: grid + MLP that map a surface point to its colour. The part an attack optimises.
@@ -108,8 +108,8 @@ struct Appearance {
 /// The radiance field: density from the geometry grid, colour from the appearance.
 struct RadianceField {
   FieldShape shape;
-  at::Tensor geometry_grid;              ///< [entries,1]
-  std::vector<at::Tensor> density_mlp;   ///< 3+16 -> 32 -> 1
+  at::Tensor geometry_grid;             ///< [entries,1]
+  std::vector<at::Tensor> density_mlp;  ///< 3+16 -> 32 -> 1
   Appearance appearance;
   std::vector<at::Tensor> specular_mlp;  ///< 3+3 -> 32 -> 3
   at::Tensor occupied;                   ///< [G,G,G] uint8 over (z,y,x)
@@ -135,10 +135,10 @@ struct FieldOptions {
   FieldShape shape;
   int64_t steps = 15000;
   int64_t samples_per_step = int64_t{1} << 18;
-  int64_t ray_steps = 1024;        ///< steps across the box's diagonal
-  double rate = 1e-2;              ///< Adam's learning rate at its peak
-  int64_t warmup = 500;            ///< steps of linear warm-up, at most a tenth of all
-  double diffuse_share = 1.0 / 15; ///< share of the steps with diffuse colour only
+  int64_t ray_steps = 1024;         ///< steps across the box's diagonal
+  double rate = 1e-2;               ///< Adam's learning rate at its peak
+  int64_t warmup = 500;             ///< steps of linear warm-up, at most a tenth of all
+  double diffuse_share = 1.0 / 15;  ///< share of the steps with diffuse colour only
   double mask_weight = 0.1;
   double specular_weight = 1e-5;
   double tv_weight = 1e-8;
@@ -150,14 +150,15 @@ struct FieldOptions {
                                       double step);
 
 /// Mean PSNR over views, each composited over white, as NeRF papers report it.
-using ViewRenderer = std::function<at::Tensor(const Camera&)>;   ///< -> [H,W,4] premultiplied
+using ViewRenderer = std::function<at::Tensor(const Camera&)>;  ///< -> [H,W,4] premultiplied
 [[nodiscard]] double mean_psnr(const std::vector<View>& views, const ViewRenderer& render,
                                Progress& progress);
 
 /// The target of a view's pixels: premultiplied colour and alpha [H,W,4] float32 in [0,1]. The one
 /// place where straight alpha becomes premultiplied: every loss and metric composites from here.
 [[nodiscard]] at::Tensor premultiplied(const View& view);
-/// Premultiplied [...,4] over a background colour [...,3] or scalar: rgb + (1 - alpha) * background.
+/// Premultiplied [...,4] over a background colour [...,3] or scalar: rgb + (1 - alpha) *
+/// background.
 [[nodiscard]] at::Tensor over_background(const at::Tensor& rgba, const at::Tensor& background);
 
 /// Trains a field. `checkpoint` is the file that holds the state on the way; when it exists the

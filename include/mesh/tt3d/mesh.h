@@ -16,8 +16,8 @@
 namespace tt3d {
 
 struct TriMesh {
-  at::Tensor vertices;   ///< [V,3] float32
-  at::Tensor faces;      ///< [F,3] int32
+  at::Tensor vertices;  ///< [V,3] float32
+  at::Tensor faces;     ///< [F,3] int32
 };
 
 /// What a mesh is, counted on its index structure.
@@ -70,8 +70,8 @@ using SurfaceShader = std::function<at::Tensor(const at::Tensor& points)>;
 
 /// A mesh's fixed part, prepared for rendering.
 struct RenderMesh {
-  at::Tensor faces;       ///< [F,3]
-  at::Tensor opposites;   ///< from edge_opposites
+  at::Tensor faces;      ///< [F,3]
+  at::Tensor opposites;  ///< from edge_opposites
   explicit RenderMesh(const at::Tensor& mesh_faces);
 };
 
@@ -106,28 +106,28 @@ class MeshRegularizer {
 
  private:
   at::Tensor rest_, edges_, degree_;
-  at::Tensor spacing_;   ///< [V] distance of each rest vertex to the nearest other one
+  at::Tensor spacing_;  ///< [V] distance of each rest vertex to the nearest other one
 };
 
 // ---- Stages -------------------------------------------------------------------------------
 
 struct MeshOptions {
-  int64_t resolution = 256;        ///< grid points a side for marching cubes
-  double iso = 10;                 ///< density of the surface, at most the field's mean
-  double min_component = 0.05;     ///< share of the diameter below which components go
-  int64_t target_faces = 40000;    ///< after simplification
+  int64_t resolution = 256;      ///< grid points a side for marching cubes
+  double iso = 10;               ///< density of the surface, at most the field's mean
+  double min_component = 0.05;   ///< share of the diameter below which components go
+  int64_t target_faces = 40000;  ///< after simplification
   int64_t refine_steps = 400;
   int64_t views_per_step = 2;
-  double vertex_rate = 1e-4;       ///< Adam's learning rate of vertex offsets
-  double appearance_rate = 1e-2;   ///< of the appearance's parameters
+  double vertex_rate = 1e-4;      ///< Adam's learning rate of vertex offsets
+  double appearance_rate = 1e-2;  ///< of the appearance's parameters
   double mask_weight = 0.1;
   double laplacian_weight = 1e-3;
   double offset_weight = 0.1;
   std::vector<double> remesh_at = {0.2, 0.4};  ///< shares of the steps
-  double split_share = 0.1;        ///< faces with the worst error that are split
-  double decimate_share = 0.5;     ///< faces with the best error that are thinned
-  double decimate_ratio = 0.5;     ///< share of those that is kept
-  double min_edge = 0.01;          ///< edges are not split below this
+  double split_share = 0.1;                    ///< faces with the worst error that are split
+  double decimate_share = 0.5;                 ///< faces with the best error that are thinned
+  double decimate_ratio = 0.5;                 ///< share of those that is kept
+  double min_edge = 0.01;                      ///< edges are not split below this
   int64_t max_faces = 60000, min_faces = 20000;
   int64_t checkpoint_every = 100;
 };

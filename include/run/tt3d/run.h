@@ -42,7 +42,7 @@ struct RunConfig {
 /// One documented key.
 struct ConfigKey {
   std::string name, meaning, unit, range;
-  std::string value;   ///< as TOML
+  std::string value;  ///< as TOML
 };
 
 /// Every key with its value in `config`, in order.
