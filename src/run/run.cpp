@@ -94,26 +94,14 @@ Run Run::open(const fs::path& folder) {
   return run;
 }
 
-Run::Run(Run&& other) noexcept
-    : folder_(std::move(other.folder_)),
-      config_(std::move(other.config_)),
-      stages_(std::move(other.stages_)),
-      input_hashes_(std::move(other.input_hashes_)),
-      capture_(std::move(other.capture_)),
-      lock_fd_(std::exchange(other.lock_fd_, -1)) {}
-
-Run::~Run() {
-  if (lock_fd_ >= 0) ::close(lock_fd_);
-}
-
 void Run::lock() {
-  const fs::path path = folder_ / ".lock";
-  lock_fd_ = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
-  if (lock_fd_ < 0) {
+  const int fd = ::open((folder_ / ".lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+  if (fd < 0) {
     throw ResourceError(folder_.string() +
                         ": cannot write here; choose a folder that can be written");
   }
-  if (::flock(lock_fd_, LOCK_EX | LOCK_NB) != 0) {
+  lock_ = std::shared_ptr<void>(nullptr, [fd](void*) { ::close(fd); });
+  if (::flock(fd, LOCK_EX | LOCK_NB) != 0) {
     throw InputError(folder_, "is in use by another tt3d; wait for it or choose another --out");
   }
 }

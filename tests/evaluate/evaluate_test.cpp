@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <functional>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <sstream>
 
@@ -155,10 +157,12 @@ TEST(EvaluateAsset, FiguresEqualACountByHand) {
     both += hit && right;
     psnr_sum += psnr(picture(adversarial), picture(clean));
   }
-  EXPECT_NEAR(v.asr, hits / 23.0, 1e-12);
-  EXPECT_NEAR(*v.clean_accuracy, correct / 23.0, 1e-12);
+  EXPECT_NEAR(v.asr, double(hits) / 23, 1e-12);
+  EXPECT_NEAR(*v.clean_accuracy, double(correct) / 23, 1e-12);
   EXPECT_EQ(v.asr_on_correct_n, correct);
-  if (correct > 0) EXPECT_NEAR(*v.asr_on_correct, double(both) / double(correct), 1e-12);
+  if (correct > 0) {
+    EXPECT_NEAR(*v.asr_on_correct, double(both) / double(correct), 1e-12);
+  }
   EXPECT_NEAR(*r.psnr, psnr_sum / 23, 1e-6);
   EXPECT_LE(v.asr_ci95.low, v.asr);
   EXPECT_GE(v.asr_ci95.high, v.asr);

@@ -24,14 +24,14 @@ seed = 3
 [capture]
 path = "{CAPTURE}"
 max_size = 64
-max_train_views = 16
+max_train_views = 24
 max_test_views = 2
 [field]
-steps = 60
+steps = 200
 samples_per_step = 8192
 ray_steps = 192
 occupancy = 64
-checkpoint_every = 10
+checkpoint_every = 30
 [field.geometry]
 finest = 128
 log2_size = 13
@@ -43,7 +43,7 @@ resolution = 64
 target_faces = 3000
 min_faces = 500
 max_faces = 6000
-refine_steps = 20
+refine_steps = 40
 checkpoint_every = 5
 [attack]
 target = "teapot"
@@ -225,7 +225,7 @@ def test_unknown_class(finished: Path, tmp_path: Path) -> None:
 
 def test_empty_mesh(tmp_path: Path) -> None:
     config = small(tmp_path, ("resolution = 64", "resolution = 64\niso = 1000000.0"),
-                   ("steps = 60", "steps = 1"))
+                   ("steps = 200", "steps = 1"))
     done = tt3d("run", config, "--out", tmp_path / "o")
     # The iso is bounded by the mean density, so a surface may exist; if not, one clear line.
     assert done.returncode in (0, 2), done.stderr

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <map>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -74,11 +75,6 @@ class Run {
   Run(const std::filesystem::path& folder, const RunConfig& config, bool restart);
   /// Opens a folder that exists, with the configuration it was made with.
   static Run open(const std::filesystem::path& folder);
-  ~Run();
-  Run(Run&& other) noexcept;
-  Run& operator=(Run&&) = delete;
-  Run(const Run&) = delete;
-  Run& operator=(const Run&) = delete;
 
   [[nodiscard]] const RunConfig& config() const { return config_; }
   [[nodiscard]] const std::filesystem::path& folder() const { return folder_; }
@@ -111,7 +107,7 @@ class Run {
   std::vector<StageRecord> stages_;
   std::map<std::string, std::string> input_hashes_;
   std::shared_ptr<Capture> capture_;
-  int lock_fd_ = -1;
+  std::shared_ptr<void> lock_;  ///< released when the last copy of the run goes
 };
 
 }  // namespace tt3d
