@@ -337,6 +337,22 @@ void apply(RunConfig& config, const std::string& name, const toml::node& node,
 
 }  // namespace
 
+RunConfig::RunConfig() {
+  for (HashGridShape* grid : {&field.shape.geometry, &field.shape.appearance}) {
+    grid->finest = 1024;
+    grid->log2_size = 17;
+  }
+  field.steps = 350;
+  field.samples_per_step = int64_t{1} << 16;
+  field.ray_steps = 512;
+  mesh.resolution = 192;
+  mesh.refine_steps = 200;
+  attack.steps = 500;
+  attack.image_size = 224;
+  attack.psnr_floor = 21.5;
+  capture.max_size = 400;
+}
+
 std::vector<ConfigKey> config_keys(const RunConfig& config) {
   RunConfig copy = config;
   std::vector<ConfigKey> keys;

@@ -139,7 +139,7 @@ bool Run::done(const std::string& stage) const {
 void Run::reconfigure(const std::vector<std::string>& assignments, const std::string& first_stage) {
   const json before = config_json(config_);
   for (const std::string& a : assignments) set_config(config_, a);
-  if (config_json(config_) == before && done(first_stage)) return;
+  if (config_json(config_) == before) return;  // an interrupted stage goes on
   const auto& names = stage_names();
   const auto first = std::find(names.begin(), names.end(), first_stage);
   for (auto stage = first; stage != names.end(); ++stage) {

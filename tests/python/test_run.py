@@ -51,6 +51,7 @@ surrogates = ["{MODEL}"]
 steps = 15
 views_per_step = 2
 image_size = 48
+psnr_floor = 0.0
 checkpoint_every = 4
 [bake]
 resolution = 256

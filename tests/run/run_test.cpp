@@ -69,6 +69,12 @@ TEST(Config, KeysAreDocumentedAndUnique) {
   }
 }
 
+TEST(Config, ShippedConfigurationsLoad) {
+  for (const char* name : {"demo.toml", "paper.toml"}) {
+    EXPECT_NO_THROW((void)load_config(std::string(TT3D_SOURCE_DIR) + "/configs/" + name)) << name;
+  }
+}
+
 TEST(Config, RelativePathsAreRelativeToTheFile) {
   testing::TemporaryFolder folder;
   write_file_atomic(folder / "sub/c.toml", "[capture]\npath = \"../photos\"\n");

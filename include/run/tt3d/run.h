@@ -22,6 +22,10 @@ namespace tt3d {
 
 /// Everything a run can be told; `tt3d config` lists the keys.
 struct RunConfig {
+  /// The program's defaults: the paper's method at a size that two CPU cores finish in minutes.
+  /// configs/paper.toml has the official code's numbers.
+  RunConfig();
+
   uint64_t seed = 0;
   CaptureOptions capture;
   FieldOptions field;
