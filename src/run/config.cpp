@@ -347,7 +347,7 @@ RunConfig::RunConfig() {
   field.ray_steps = 512;
   mesh.resolution = 192;
   mesh.refine_steps = 200;
-  attack.steps = 500;
+  attack.steps = 400;
   attack.image_size = 224;
   attack.psnr_floor = 21.5;
   capture.max_size = 400;
