@@ -4,6 +4,7 @@
 
 #include "support/gradient_check.h"
 #include "support/shapes.h"
+#include "support/stop_after.h"
 #include "support/temporary_folder.h"
 
 namespace tt3d {
@@ -59,14 +60,6 @@ AttackOptions small_options() {
   return o;
 }
 
-/// Stops the work after a number of updates.
-struct StopAfter : Progress {
-  explicit StopAfter(int n) : left(n) {}
-  void update(int64_t, const Metrics&) override { --left; }
-  [[nodiscard]] bool cancelled() const override { return left <= 0; }
-  int left;
-};
-
 TEST(Attack, ReachesEveryTargetOfAToyClassifier) {
   Progress quiet;
   for (const std::string& method : attack_method_names()) {
@@ -121,7 +114,7 @@ TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
   const AttackResult whole = run_attack(input, o, 1, folder / "whole", quiet);
   Random random(7, "stops");
   for (int stops = 0; stops < 4; ++stops) {
-    StopAfter stop(static_cast<int>(1 + random.index(15)));
+    testing::StopAfter stop(static_cast<int>(1 + random.index(15)));
     try {
       (void)run_attack(input, o, 1, folder / "stopped", stop);
     } catch (const Interrupted&) {

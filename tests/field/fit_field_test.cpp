@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "support/stop_after.h"
 #include "support/synthetic_capture.h"
 #include "support/temporary_folder.h"
 #include "tt3d/field.h"
@@ -30,14 +31,6 @@ bool same_bytes(const RadianceField& a, const RadianceField& b) {
   }
   return at::equal(a.occupied, b.occupied);
 }
-
-/// Stops the work after a number of updates.
-struct StopAfter : Progress {
-  explicit StopAfter(int n) : left(n) {}
-  void update(int64_t, const Metrics&) override { --left; }
-  [[nodiscard]] bool cancelled() const override { return left <= 0; }
-  int left;
-};
 
 TEST(Background, StraightAlphaIsPremultipliedOnce) {
   // Half-transparent red over white: (1 + 0) / 2 in green and blue, 1 in red.
@@ -98,7 +91,7 @@ TEST(FitField, ResumedAfterAnyStopGivesTheSameBytes) {
   Random random(5, "stops");
   const auto checkpoint = folder / "stopped";
   for (int stops = 0; stops < 4; ++stops) {
-    StopAfter stop(static_cast<int>(1 + random.index(20)));
+    testing::StopAfter stop(static_cast<int>(1 + random.index(20)));
     try {
       (void)fit_field(capture, o, 1, checkpoint, stop);
     } catch (const Interrupted&) {

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include "support/shapes.h"
+#include "support/stop_after.h"
 #include "support/synthetic_capture.h"
 #include "support/temporary_folder.h"
 #include "tt3d/mesh.h"
@@ -28,14 +29,6 @@ Appearance small_appearance() {
   shape.occupancy = 8;
   return RadianceField::create(shape, 1).appearance;
 }
-
-/// Stops the work after a number of updates.
-struct StopAfter : Progress {
-  explicit StopAfter(int n) : left(n) {}
-  void update(int64_t, const Metrics&) override { --left; }
-  [[nodiscard]] bool cancelled() const override { return left <= 0; }
-  int left;
-};
 
 TEST(RefineMesh, FindsTheBallFromATooSmallOne) {
   const Capture capture = testing::ball_capture(16, 40);
@@ -76,7 +69,7 @@ TEST(RefineMesh, ResumedAfterAnyStopGivesTheSameBytes) {
       refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "whole", quiet);
   Random random(6, "stops");
   for (int stops = 0; stops < 4; ++stops) {
-    StopAfter stop(static_cast<int>(1 + random.index(15)));
+    testing::StopAfter stop(static_cast<int>(1 + random.index(15)));
     try {
       (void)refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "stopped", stop);
     } catch (const Interrupted&) {

@@ -1,0 +1,15 @@
+#pragma once
+
+#include "tt3d/core.h"
+
+namespace tt3d::testing {
+
+/// Stops the work after a number of updates, as Ctrl-C would.
+struct StopAfter : Progress {
+  explicit StopAfter(int n) : left(n) {}
+  void update(int64_t, const Metrics&) override { --left; }
+  [[nodiscard]] bool cancelled() const override { return left <= 0; }
+  int left;
+};
+
+}  // namespace tt3d::testing
