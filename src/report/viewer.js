@@ -118,10 +118,14 @@
     return covered * 4 / pixels.length;
   }
 
-  // Marks the page once the first frame is there; #measure at the address adds the coverage.
+  // Marks the page once the first frame is there; #measure at the address adds the coverage and
+  // stops the turning, so that a slow machine has time for what is measured.
   function announce(uploaded) {
     const mark = document.documentElement.dataset;
-    if (location.hash === "#measure") mark.coverage = uploaded.map((one) => coverage(one).toFixed(3)).join(" ");
+    if (location.hash === "#measure") {
+      mark.coverage = uploaded.map((one) => coverage(one).toFixed(3)).join(" ");
+      setTurning(false);
+    }
     mark.viewer = "drawn";
   }
 

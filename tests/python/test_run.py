@@ -83,7 +83,11 @@ def tt3d(*arguments: str | Path, timeout: float = 170) -> subprocess.CompletedPr
     environment = os.environ | {"OMP_NUM_THREADS": "2", "OMP_WAIT_POLICY": "PASSIVE"}
     return subprocess.run(
         [PROGRAM, *map(str, arguments)],
-        capture_output=True, text=True, timeout=timeout, env=environment, check=False,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        env=environment,
+        check=False,
     )
 
 
@@ -131,7 +135,9 @@ def test_killed_at_random_moments_gives_the_same_bytes(finished: Path, tmp_path:
     for attempt in range(6):
         process = subprocess.Popen(
             [PROGRAM, "run", finished / "small.toml", "--out", tmp_path / "out"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=environment,
         )
         try:
             process.wait(timeout=randomness.uniform(0.5, 5))
@@ -162,9 +168,25 @@ def test_changed_configuration_is_refused(finished: Path) -> None:
 def test_evaluate_scores_the_exported_files_again(finished: Path, tmp_path: Path) -> None:
     asset = finished / "out/asset"
     done = tt3d(
-        "evaluate", asset / "adversarial.obj", "--clean", asset / "clean.obj", "--target", "teapot",
-        "--true-class", "cup", "--victims", MODEL, "--views", "8", "--size", "48", "--seed", "3",
-        "--out", tmp_path / "e.json", "--json",
+        "evaluate",
+        asset / "adversarial.obj",
+        "--clean",
+        asset / "clean.obj",
+        "--target",
+        "teapot",
+        "--true-class",
+        "cup",
+        "--victims",
+        MODEL,
+        "--views",
+        "8",
+        "--size",
+        "48",
+        "--seed",
+        "3",
+        "--out",
+        tmp_path / "e.json",
+        "--json",
     )
     assert done.returncode == 0, done.stderr
     record = json.loads(done.stdout)
@@ -174,8 +196,16 @@ def test_evaluate_scores_the_exported_files_again(finished: Path, tmp_path: Path
 
 
 def test_render_makes_a_capture(finished: Path, tmp_path: Path) -> None:
-    done = tt3d("render", finished / "out/asset/clean.glb", "--views", "3", "--size", "40",
-                "--out", tmp_path / "views")
+    done = tt3d(
+        "render",
+        finished / "out/asset/clean.glb",
+        "--views",
+        "3",
+        "--size",
+        "40",
+        "--out",
+        tmp_path / "views",
+    )
     assert done.returncode == 0, done.stderr
     info = json.loads(tt3d("info", tmp_path / "views", "--json").stdout)
     assert info["train_views"] == 3 and info["masks"] is True
@@ -219,14 +249,25 @@ def test_truncated_photograph(tmp_path: Path) -> None:
 
 
 def test_unknown_class(finished: Path, tmp_path: Path) -> None:
-    done = tt3d("evaluate", finished / "out/asset/clean.glb", "--target", "teapott", "--victims",
-                MODEL, "--out", tmp_path / "e.json")
+    done = tt3d(
+        "evaluate",
+        finished / "out/asset/clean.glb",
+        "--target",
+        "teapott",
+        "--victims",
+        MODEL,
+        "--out",
+        tmp_path / "e.json",
+    )
     one_line(done, 2, "teapott", "teapot")
 
 
 def test_empty_mesh(tmp_path: Path) -> None:
-    config = small(tmp_path, ("resolution = 64", "resolution = 64\niso = 1000000.0"),
-                   ("steps = 200", "steps = 1"))
+    config = small(
+        tmp_path,
+        ("resolution = 64", "resolution = 64\niso = 1000000.0"),
+        ("steps = 200", "steps = 1"),
+    )
     done = tt3d("run", config, "--out", tmp_path / "o")
     # The iso is bounded by the mean density, so a surface may exist; if not, one clear line.
     assert done.returncode in (0, 2), done.stderr
