@@ -1,9 +1,13 @@
 #include <ATen/Context.h>
 #include <ATen/Parallel.h>
 
+#include <unistd.h>
+
 #include <cstdlib>
+#include <filesystem>
 #include <iostream>
 #include <new>
+#include <system_error>
 
 #include "commands.h"
 #include "tt3d/core.h"
@@ -63,9 +67,14 @@ int report_error(const std::string& line, int code) {
 }  // namespace tt3d::cli
 
 int main(int argc, char** argv) {
-  // Idle OpenMP threads that spin starve other programs on a shared machine; set before the first
-  // parallel region, and never over the user's own choice.
-  ::setenv("OMP_WAIT_POLICY", "PASSIVE", 0);
+  // Idle OpenMP threads that spin starve other programs on a shared machine. libgomp reads its
+  // environment before main, so the program starts itself again; never over the user's own choice.
+  if (std::getenv("OMP_WAIT_POLICY") == nullptr) {
+    ::setenv("OMP_WAIT_POLICY", "PASSIVE", 1);
+    std::error_code unknown;
+    const auto self = std::filesystem::read_symlink("/proc/self/exe", unknown);
+    if (!unknown) ::execv(self.c_str(), argv);  // returns only where it failed: then threads spin
+  }
   try {
     return tt3d::cli::run_program(argc, argv);
   } catch (const tt3d::Error& error) {

@@ -28,13 +28,19 @@ Tensor placements(int64_t count, const EotOptions& o, Random& random) {
   return theta;
 }
 
-Tensor backgrounds(int64_t count, const EotOptions& o, Random& random) {
-  Tensor out = at::ones({count, 3, 1, 1});
+/// A plain colour, a photograph or white for each picture: [N,3,1,1], or [N,3,size,size] where
+/// photographs may be among them.
+Tensor backgrounds(int64_t count, int64_t size, const EotOptions& o, const Backgrounds* photographs,
+                   Random& random) {
+  const int64_t side = photographs == nullptr ? 1 : size;
+  Tensor out = at::ones({count, 3, side, side});
   for (int64_t i = 0; i < count; ++i) {
-    const bool plain = random.uniform() < static_cast<float>(o.plain_background);
-    for (int64_t c = 0; c < 3; ++c) {
-      const float value = random.uniform();
-      if (plain) out[i][c].fill_(value);
+    const double kind = random.uniform();
+    const Tensor plain = at::tensor({random.uniform(), random.uniform(), random.uniform()});
+    if (kind < o.plain_background) {
+      out[i].copy_(plain.view({3, 1, 1}));
+    } else if (photographs != nullptr && kind < o.plain_background + o.photograph_background) {
+      out[i].copy_(photographs->draw(size, size, random).permute({2, 0, 1}));
     }
   }
   return out;
@@ -92,14 +98,15 @@ Tensor gaussian_noise(at::IntArrayRef shape, Random& random) {
 }  // namespace
 
 Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o, uint64_t seed,
-                        int64_t step) {
+                        int64_t step, const Backgrounds* photographs) {
   Random random(seed, "attack/eot", static_cast<uint64_t>(step));
   const int64_t n = images.size(0);
   const Tensor grid =
       at::affine_grid_generator(placements(n, o, random), {n, 4, size, size}, false);
   constexpr int64_t kBilinear = 0, kZeros = 0;
   const Tensor placed = at::grid_sampler(images, grid, kBilinear, kZeros, false);
-  Tensor x = placed.narrow(1, 0, 3) + (1 - placed.narrow(1, 3, 1)) * backgrounds(n, o, random);
+  Tensor x = placed.narrow(1, 0, 3) +
+             (1 - placed.narrow(1, 3, 1)) * backgrounds(n, size, o, photographs, random);
   x = jitter_colors(x, o, random);
   x = blur(x, random.uniform(0, 1) * o.blur);
   if (o.noise > 0) x = x + gaussian_noise(x.sizes(), random) * (random.uniform(0, 1) * o.noise);

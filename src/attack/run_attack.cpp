@@ -2,6 +2,7 @@
 #include <torch/csrc/autograd/autograd.h>
 
 #include <cmath>
+#include <optional>
 
 #include "tt3d/attack.h"
 #include "tt3d/tensor_file.h"
@@ -77,15 +78,6 @@ std::vector<AttackCurvePoint> curves_from(const Tensor& t) {
   return curves;
 }
 
-Tensor find_curves(const TensorFile& file) {
-  const auto found = file.tensors.find("curves");
-  if (found == file.tensors.end() || found->second.dim() != 2 ||
-      found->second.size(1) != kCurveColumns || found->second.scalar_type() != at::kDouble) {
-    throw InputError(file.path, "holds no curves [steps,8] float64");
-  }
-  return found->second;
-}
-
 void save_state(const AttackState& s, const std::filesystem::path& path) {
   std::vector<std::pair<std::string, Tensor>> tensors = {{"offsets", s.offsets}};
   const auto all = s.appearance.parameters();
@@ -113,7 +105,7 @@ void load_state(const std::filesystem::path& path, AttackState& s) {
     s.moment1[i] = file.get("moment1." + std::to_string(i), s.moment1[i].sizes(), at::kFloat);
     s.moment2[i] = file.get("moment2." + std::to_string(i), s.moment2[i].sizes(), at::kFloat);
   }
-  s.curves = curves_from(find_curves(file));
+  s.curves = curves_from(file.get("curves", {-1, kCurveColumns}, at::kDouble));
   const Tensor counters = file.get("counters", {2}, at::kLong);
   s.step = counters[0].item<int64_t>();
   s.rollbacks = counters[1].item<int>();
@@ -134,6 +126,7 @@ class Attacker {
         clean_(input.appearance.clone()),
         prepared_(input.mesh.faces),
         regularizer_(input.mesh) {
+    if (!options.eot.photographs.empty()) photographs_.emplace(options.eot.photographs.string());
     at::NoGradGuard guard;
     rest_edge_ = regularizer_.edge_length(input.mesh.vertices).item<double>();
   }
@@ -161,6 +154,7 @@ class Attacker {
                            options_.laplacian_weight * laplacian + options_.edge_weight * edge;
     const Tensor loss = objective + options_.beta * natural;
     grads = torch::autograd::grad({loss}, parameters);
+    hold_fine_levels(s.appearance, grads);
     return {s.step,
             loss.item<double>(),
             objective.item<double>(),
@@ -184,6 +178,14 @@ class Attacker {
   }
 
  private:
+  /// Takes the gradient from the grid levels that stay; Adam leaves what has none as it is.
+  void hold_fine_levels(const Appearance& appearance, std::vector<Tensor>& grads) const {
+    if (!method_.grid || options_.finest <= 0) return;
+    Tensor& grid = grads[method_.vertices ? 1 : 0];
+    const int64_t free = appearance.shape.entries_up_to(options_.finest);
+    grid.narrow(0, free, grid.size(0) - free).zero_();
+  }
+
   /// Renders the step's views [N,4,H,W], and R_rgb: the squared distance to the clean colours at
   /// the same surface points, summed over colours and averaged over the pictures' pixels as a
   /// mean squared error (paper, section 3.4).
@@ -217,7 +219,8 @@ class Attacker {
       const Classifier& model = *input_.surrogates[m];
       // Each surrogate sees its own draw of the transforms.
       const Tensor seen =
-          transform_images(pictures, model.card().height, options_.eot, seed_, step * models + m);
+          transform_images(pictures, model.card().height, options_.eot, seed_, step * models + m,
+                           photographs_ ? &*photographs_ : nullptr);
       const Tensor logits = model.logits(seen);
       total = total + objective_loss(options_.objective, logits, input_.targets[m]);
       const Tensor hit = logits.detach().argmax(1) == input_.targets[m];
@@ -234,6 +237,7 @@ class Attacker {
   RenderMesh prepared_;
   MeshRegularizer regularizer_;
   double rest_edge_ = 0;
+  std::optional<Backgrounds> photographs_;
 };
 
 void roll_back(const Attacker& attacker, const std::filesystem::path& checkpoint, AttackState& s,
@@ -259,6 +263,10 @@ void roll_back(const Attacker& attacker, const std::filesystem::path& checkpoint
 AttackResult run_attack(const AttackInput& input, const AttackOptions& options, uint64_t seed,
                         const std::filesystem::path& checkpoint, Progress& progress) {
   if (input.surrogates.empty()) throw InputError("attack.surrogates: name at least one model");
+  if (options.eot.photograph_background > 0 && options.eot.photographs.empty()) {
+    throw InputError(
+        "attack.eot.photographs: expected a folder, as photograph_background is not 0");
+  }
   const Attacker attacker(input, options, seed);
   AttackState s = attacker.fresh();
   if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
@@ -319,21 +327,17 @@ void save_attack(const AttackResult& r, const std::filesystem::path& path) {
 
 AttackResult load_attack(const std::filesystem::path& path) {
   const TensorFile file = load_tensors(path);
-  const auto find = [&](const std::string& name) {
-    const auto found = file.tensors.find(name);
-    if (found == file.tensors.end()) throw InputError(path, "holds no tensor '" + name + "'");
-    return found->second;
-  };
   AttackResult r;
-  r.mesh = {find("vertices"), find("faces")};
+  r.mesh = {file.get("vertices", {-1, 3}, at::kFloat), file.get("faces", {-1, 3}, at::kInt)};
   const Tensor h = file.get("grid_shape", {5}, at::kLong);
   const auto* n = h.const_data_ptr<int64_t>();
   r.appearance.shape = {n[0], n[1], n[2], n[3], n[4]};
-  r.appearance.grid = find("appearance.0");
+  r.appearance.grid = file.get("appearance.0", {-1, -1}, at::kFloat);
   for (int i = 1; i <= 3; ++i) {
-    r.appearance.color_mlp.push_back(find("appearance." + std::to_string(i)));
+    const std::string name = "appearance." + std::to_string(i);
+    r.appearance.color_mlp.push_back(file.get(name, {-1, -1}, at::kFloat));
   }
-  r.curves = curves_from(find_curves(file));
+  r.curves = curves_from(file.get("curves", {-1, kCurveColumns}, at::kDouble));
   return r;
 }
 

@@ -77,13 +77,8 @@ void run_unwrap(const fs::path& input, const fs::path& output, int resolution, i
 /// Every face must have a place in the atlas.
 Atlas read_atlas(const fs::path& path, int64_t face_count, int resolution) {
   const TensorFile file = load_tensors(path);
-  const auto uvs = file.tensors.find("uvs");
-  const auto uv_faces = file.tensors.find("uv_faces");
-  if (uvs == file.tensors.end() || uv_faces == file.tensors.end()) {
-    throw ResourceError("UV unwrapping gave no atlas");
-  }
-  Atlas atlas{file.get("uvs", {uvs->second.size(0), 2}, at::kFloat),
-              file.get("uv_faces", {face_count, 3}, at::kInt), resolution, resolution};
+  Atlas atlas{file.get("uvs", {-1, 2}, at::kFloat), file.get("uv_faces", {face_count, 3}, at::kInt),
+              resolution, resolution};
   const bool inside = atlas.uvs.ge(0).logical_and(atlas.uvs.le(1)).all().item<bool>() &&
                       atlas.uv_faces.ge(0).all().item<bool>() &&
                       atlas.uv_faces.lt(atlas.uvs.size(0)).all().item<bool>();

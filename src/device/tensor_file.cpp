@@ -72,7 +72,10 @@ at::Tensor TensorFile::get(const std::string& name, at::IntArrayRef shape,
   const auto found = tensors.find(name);
   if (found == tensors.end()) throw InputError(path, "holds no tensor '" + name + "'");
   const at::Tensor& t = found->second;
-  if (t.sizes() != shape || t.scalar_type() != dtype) {
+  const bool fits =
+      std::equal(t.sizes().begin(), t.sizes().end(), shape.begin(), shape.end(),
+                 [](int64_t size, int64_t wanted) { return wanted < 0 || size == wanted; });
+  if (!fits || t.scalar_type() != dtype) {
     std::ostringstream text;
     text << "tensor '" << name << "' is " << at::toString(t.scalar_type()) << " " << t.sizes()
          << ", expected " << at::toString(dtype) << " " << shape;

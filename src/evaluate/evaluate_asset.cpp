@@ -26,7 +26,8 @@ Tensor pictures_of(const AssetRenderer& renderer, const Backgrounds& backgrounds
   std::vector<Tensor> behind;
   for (int64_t i = begin; i < end; ++i) {
     cameras.push_back(views[i].camera);
-    behind.push_back(backgrounds.of_view(i, cameras[0].height, cameras[0].width, seed));
+    Random random(seed, "evaluate/background", static_cast<uint64_t>(i));
+    behind.push_back(backgrounds.draw(cameras[0].height, cameras[0].width, random));
   }
   const Tensor rgb = over_background(renderer.render(cameras), at::stack(behind)).clamp(0, 1);
   // What is scored is what a PNG of it would hold.

@@ -73,12 +73,7 @@ void save_state(const RefineState& s, const std::filesystem::path& path) {
 
 void load_state(const std::filesystem::path& path, RefineState& s) {
   const TensorFile file = load_tensors(path);
-  const auto find = [&](const std::string& name) {
-    const auto found = file.tensors.find(name);
-    if (found == file.tensors.end()) throw InputError(path, "holds no tensor '" + name + "'");
-    return found->second;
-  };
-  s.mesh = {find("vertices"), find("faces")};
+  s.mesh = {file.get("vertices", {-1, 3}, at::kFloat), file.get("faces", {-1, 3}, at::kInt)};
   reset_offsets(s);
   at::NoGradGuard guard;
   const auto all = s.parameters();

@@ -246,6 +246,8 @@ class Schema {
          "where views are drawn from");
     number("attack.appearance_rate", a.appearance_rate, 0, 1, "", "learning rate of grid and MLP");
     number("attack.vertex_rate", a.vertex_rate, 0, 1, "", "learning rate of vertex offsets");
+    number("attack.finest", a.finest, 0, 65536, "cells",
+           "grid levels finer than this stay as they are; 0: all are free");
     number("attack.final_rate", a.final_rate, 1e-4, 1, "", "share of the rates left at the end");
     integer("attack.checkpoint_every", a.checkpoint_every, 1, 1e7, "steps",
             "steps between checkpoints");
@@ -266,7 +268,10 @@ class Schema {
     number("attack.eot.blur", e.blur, 0, 10, "pixels", "largest sigma of Gaussian blur");
     number("attack.eot.noise", e.noise, 0, 1, "", "largest sigma of Gaussian noise");
     number("attack.eot.plain_background", e.plain_background, 0, 1, "",
-           "share of pictures on a random plain colour; the rest on white");
+           "share of pictures on a random plain colour");
+    number("attack.eot.photograph_background", e.photograph_background, 0, 1, "",
+           "share of pictures on a photograph; the rest on white");
+    path("attack.eot.photographs", e.photographs, "folder of these photographs");
   }
 
   void bake_and_evaluate_keys(RunConfig& c) {
@@ -310,6 +315,9 @@ void check_relations(const RunConfig& c, const std::string& where) {
   if (c.field.shape.occupancy % 8 != 0) fail("field.occupancy: expected a multiple of 8");
   if (c.attack.eot.scale_low > c.attack.eot.scale_high) {
     fail("attack.eot.scale_low: expected at most attack.eot.scale_high");
+  }
+  if (c.attack.eot.plain_background + c.attack.eot.photograph_background > 1) {
+    fail("attack.eot.photograph_background: expected at most 1 together with plain_background");
   }
   if (c.mesh.min_faces > c.mesh.max_faces) fail("mesh.min_faces: expected at most mesh.max_faces");
   for (const auto* g : {&c.field.shape.geometry, &c.field.shape.appearance}) {
@@ -375,15 +383,14 @@ RunConfig load_config(const std::filesystem::path& path) {
       throw InputError(path, static_cast<long>(node.source().begin.line), problem);
     });
   });
-  if (!config.capture.path.empty() && config.capture.path.is_relative()) {
-    config.capture.path = std::filesystem::weakly_canonical(
-        std::filesystem::absolute(path).parent_path() / config.capture.path);
+  const auto beside = std::filesystem::absolute(path).parent_path();
+  for (std::filesystem::path* p : {&config.capture.path, &config.attack.eot.photographs}) {
+    if (!p->empty() && p->is_relative()) *p = std::filesystem::weakly_canonical(beside / *p);
   }
   const bool folder =
       config.evaluate_background != "white" && !config.evaluate_background.starts_with("#");
   if (folder && std::filesystem::path(config.evaluate_background).is_relative()) {
-    config.evaluate_background =
-        (std::filesystem::absolute(path).parent_path() / config.evaluate_background).string();
+    config.evaluate_background = (beside / config.evaluate_background).string();
   }
   check_relations(config, path.string());
   return config;

@@ -159,6 +159,17 @@ TEST(Eot, PaddingIsBackgroundAndNeverBlack) {
   EXPECT_NEAR(out.min().item<double>(), 1, 1e-6);
 }
 
+TEST(Eot, PhotographsStandBehindTheObject) {
+  testing::TemporaryFolder folder;
+  write_file_atomic(folder / "a.png", encode_png(at::full({6, 9, 3}, 51, at::kByte)));
+  const Backgrounds photographs(folder.path().string());
+  EotOptions o;
+  o.brightness = o.contrast = o.saturation = o.noise = o.plain_background = 0;
+  o.photograph_background = 1;
+  const Tensor out = transform_images(at::zeros({2, 4, 20, 20}), 24, o, 1, 0, &photographs);
+  EXPECT_LT((out - 0.2).abs().max().item<double>(), 1e-4);
+}
+
 TEST(Eot, IdentityWhenEveryRangeIsZero) {
   EotOptions o;
   o.scale_low = o.scale_high = 1;

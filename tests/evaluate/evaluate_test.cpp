@@ -94,20 +94,6 @@ TEST(RoundTrip, BakedAndLoadedRendersAsInMemory) {
   }
 }
 
-TEST(Backgrounds, ColoursFoldersAndMistakes) {
-  const Tensor red = Backgrounds("#ff0000").of_view(0, 2, 2, 1);
-  EXPECT_EQ(red[1][1][0].item<float>(), 1);
-  EXPECT_EQ(red[1][1][1].item<float>(), 0);
-  for (const char* bad : {"#ff00", "blue", "/nonexistent", "#gg0000"}) {
-    EXPECT_THROW(Backgrounds{bad}, InputError) << bad;
-  }
-  testing::TemporaryFolder folder;
-  EXPECT_THROW(Backgrounds{folder.path().string()}, InputError);
-  write_file_atomic(folder / "a.png", encode_png(at::full({6, 9, 3}, 51, at::kByte)));
-  const Tensor photo = Backgrounds(folder.path().string()).of_view(3, 8, 8, 1);
-  EXPECT_NEAR(photo[4][4][1].item<double>(), 0.2, 1e-4);
-}
-
 TEST(EvaluateAsset, FiguresEqualACountByHand) {
   testing::TemporaryFolder folder;
   write_glb(ball(0.9F, 0.1F, 0.1F), folder / "adversarial.glb");

@@ -40,14 +40,18 @@ struct EotOptions {
   double saturation = 0.2;                    ///< likewise, around the grey picture
   double blur = 1.0;                          ///< Gaussian sigma U(0,blur) pixels
   double noise = 0.02;                        ///< Gaussian, sigma U(0,noise)
-  double plain_background = 0.5;  ///< share of pictures on a random plain colour; the rest on white
+  double plain_background = 0.5;              ///< share of pictures on a random plain colour
+  double photograph_background = 0;           ///< share on a photograph; the rest on white
+  std::filesystem::path photographs;          ///< folder of these photographs
 };
 
 /// `images` [N,4,H,W] premultiplied rendering, transformed and composited over a background:
 /// [N,3,size,size] in [0,1]. Placement happens before compositing and colours after, so the
-/// padding is background, not black. Keyed by (seed, step). Differentiable.
+/// padding is background, not black. `photographs`: what photograph_background shows.
+/// Keyed by (seed, step). Differentiable.
 [[nodiscard]] at::Tensor transform_images(const at::Tensor& images, int64_t size,
-                                          const EotOptions& options, uint64_t seed, int64_t step);
+                                          const EotOptions& options, uint64_t seed, int64_t step,
+                                          const Backgrounds* photographs = nullptr);
 
 struct AttackOptions {
   std::string method = "dual";
@@ -64,6 +68,7 @@ struct AttackOptions {
   std::string view_distribution = "dome";
   double appearance_rate = 1e-2;
   double vertex_rate = 1e-4;
+  double finest = 0;        ///< grid levels finer than this many cells a side stay; 0: all are free
   double final_rate = 0.5;  ///< share of the rates left at the end (exponential)
   EotOptions eot;
   int64_t checkpoint_every = 50;

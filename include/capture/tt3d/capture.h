@@ -126,4 +126,20 @@ struct ViewFrame {
                                                     int64_t first, int64_t count, int size,
                                                     const ViewFrame& frame);
 
+// ---- Backgrounds --------------------------------------------------------------------------
+
+/// What stands behind a rendered object: white, one colour, or photographs drawn at random.
+class Backgrounds {
+ public:
+  /// "white", "#rrggbb", or a folder of PNG or JPEG files. Throws InputError for anything else.
+  explicit Backgrounds(const std::string& text);
+  /// A background [H,W,3] float32 sRGB in [0,1]. A photograph covers the frame, cropped around its
+  /// centre. Throws InputError for a photograph that cannot be read.
+  [[nodiscard]] at::Tensor draw(int64_t height, int64_t width, Random& random) const;
+
+ private:
+  at::Tensor color_;
+  std::vector<std::filesystem::path> photographs_;
+};
+
 }  // namespace tt3d

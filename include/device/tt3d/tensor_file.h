@@ -17,7 +17,8 @@ struct TensorFile {
   std::filesystem::path path;  ///< for messages
   std::map<std::string, at::Tensor> tensors;
   std::map<std::string, std::string> metadata;
-  /// The tensor of that name, shape and dtype; throws InputError naming what differs.
+  /// The tensor of that name, shape (-1: any size) and dtype; throws InputError naming what
+  /// differs.
   [[nodiscard]] at::Tensor get(const std::string& name, at::IntArrayRef shape,
                                at::ScalarType dtype) const;
 };

@@ -42,19 +42,6 @@ class AssetRenderer {
   double extent_ = 1;
 };
 
-/// Backgrounds of the evaluation: "white", "#rrggbb", or a folder of photographs, drawn by view.
-class Backgrounds {
- public:
-  /// Throws InputError for anything else.
-  explicit Backgrounds(const std::string& text);
-  /// Background of view i, [H,W,3] float.
-  [[nodiscard]] at::Tensor of_view(int64_t i, int64_t height, int64_t width, uint64_t seed) const;
-
- private:
-  at::Tensor color_;
-  std::vector<std::filesystem::path> photographs_;
-};
-
 // ---- Measures -----------------------------------------------------------------------------
 
 /// Peak signal-to-noise ratio of pictures [H,W,C] in [0,1], dB; 100 when equal.
