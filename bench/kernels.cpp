@@ -1,0 +1,141 @@
+// Our kernels, and the same in plain tensor operations, forward and backward.
+//
+// Meshes come from files, so that other programs (bench/peers.py) draw the very same triangles:
+//   TT3D_BENCH_MESH  safetensors with clip [1,V,4] f32, faces [F,3] i32, colors [V,3] f32,
+//                    uvs [V,2] f32
+#include <ATen/Parallel.h>
+#include <benchmark/benchmark.h>
+
+#include <cstdlib>
+
+#include "field/field_reference.h"
+#include "raster/raster_reference.h"
+#include "tt3d/field.h"
+#include "tt3d/raster.h"
+#include "tt3d/tensor_file.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+struct Scene {
+  Tensor clip, faces, colors, uvs;
+};
+
+/// The mesh of the environment; throws InputError where it is absent.
+Scene load_scene() {
+  const char* path = std::getenv("TT3D_BENCH_MESH");
+  if (path == nullptr) throw InputError("TT3D_BENCH_MESH is not set: run scripts/bench");
+  const TensorFile file = load_tensors(path);
+  return {file.get("clip", {1, -1, 4}, at::kFloat), file.get("faces", {-1, 3}, at::kInt),
+          file.get("colors", {-1, 3}, at::kFloat), file.get("uvs", {-1, 2}, at::kFloat)};
+}
+
+Tensor leaf(const Tensor& t) { return t.detach().clone().requires_grad_(true); }
+
+/// Rasterize, interpolate colours, antialias; gradients to positions and colours.
+void colored_mesh(benchmark::State& state) {
+  const Scene scene = load_scene();
+  const Tensor clip = leaf(scene.clip), colors = leaf(scene.colors);
+  const Tensor opposites = edge_opposites(scene.faces);
+  for (auto _ : state) {
+    const Tensor rast = rasterize(clip, scene.faces, 400, 400);
+    const Tensor picture = interpolate(colors, rast, scene.faces);
+    antialias(picture, rast, clip, scene.faces, opposites).square().sum().backward();
+    clip.mutable_grad().reset();
+    colors.mutable_grad().reset();
+  }
+}
+BENCHMARK(colored_mesh)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+/// Rasterize, interpolate UVs, look the texture up; gradients to the texture alone.
+void textured_mesh(benchmark::State& state) {
+  const Scene scene = load_scene();
+  const Tensor texels = leaf(at::rand({512, 512, 3}));
+  for (auto _ : state) {
+    const Tensor rast = rasterize(scene.clip, scene.faces, 400, 400);
+    const Tensor uv = interpolate(scene.uvs, rast, scene.faces);
+    const Tensor slopes = attribute_derivatives(scene.uvs, rast, scene.clip, scene.faces);
+    texture(texels, uv, slopes, rast).square().sum().backward();
+    texels.mutable_grad().reset();
+  }
+}
+BENCHMARK(textured_mesh)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+// ---- Rasterizer against plain tensor operations, on a mesh these can hold in memory ----------
+
+/// A wavy sheet of 2 n^2 triangles before the camera, [1,V,4] and [F,3].
+std::pair<Tensor, Tensor> sheet(int64_t n) {
+  const Tensor line = at::linspace(-0.9, 0.9, n + 1);
+  const Tensor x = line.repeat({n + 1}), y = line.repeat_interleave(n + 1);
+  const Tensor z = 0.2 * (4 * x).sin() * (3 * y).cos();
+  const Tensor w = 2 + z;
+  const Tensor clip = at::stack({x * w, y * w, z * w, w}, 1).unsqueeze(0).to(at::kFloat);
+  const Tensor corner = (at::arange(n).unsqueeze(1) * (n + 1) + at::arange(n)).flatten();
+  const Tensor first = at::stack({corner, corner + 1, corner + n + 2}, 1);
+  const Tensor second = at::stack({corner, corner + n + 2, corner + n + 1}, 1);
+  return {clip, at::cat({first, second}).to(at::kInt).contiguous()};
+}
+
+constexpr int64_t kSheet = 22, kSheetPixels = 128;  // 968 triangles
+
+void rasterize_ours(benchmark::State& state) {
+  const auto [clip, faces] = sheet(kSheet);
+  const Tensor positions = leaf(clip);
+  for (auto _ : state) {
+    const Tensor rast = rasterize(positions, faces, kSheetPixels, kSheetPixels);
+    rast.narrow(3, 0, 2).sum().backward();
+    positions.mutable_grad().reset();
+  }
+}
+BENCHMARK(rasterize_ours)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+void rasterize_plain_tensors(benchmark::State& state) {
+  const auto [clip, faces] = sheet(kSheet);
+  const Tensor positions = leaf(clip);
+  for (auto _ : state) {
+    Tensor rast;
+    {
+      at::NoGradGuard guard;
+      rast = testing::reference_rasterize(positions, faces, kSheetPixels, kSheetPixels);
+    }
+    testing::reference_barycentrics(positions, rast, faces).sum().backward();
+    positions.mutable_grad().reset();
+  }
+}
+BENCHMARK(rasterize_plain_tensors)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+// ---- Hash encoding, 2^18 points, 16 levels, two features -------------------------------------
+
+template <typename Encode>
+void hash_encoding(benchmark::State& state, const Encode& encode) {
+  const HashGridShape shape{16, 16, 2048, 19, 2};
+  const Tensor x = at::rand({int64_t{1} << 18, 3}) * 2 - 1;
+  const Tensor table = leaf(at::rand({shape.entries(), 2}));
+  const Tensor weight = at::rand({32, x.size(0)});
+  for (auto _ : state) {
+    encode(x, table, shape).backward(weight);
+    table.mutable_grad().reset();
+  }
+}
+
+void hash_encode_ours(benchmark::State& state) { hash_encoding(state, hash_encode); }
+BENCHMARK(hash_encode_ours)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+void hash_encode_plain_tensors(benchmark::State& state) {
+  hash_encoding(state, testing::reference_encode);
+}
+BENCHMARK(hash_encode_plain_tensors)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+}  // namespace
+}  // namespace tt3d
+
+int main(int argc, char** argv) {
+  at::set_num_threads(std::max(
+      1, std::atoi(std::getenv("OMP_NUM_THREADS") ? std::getenv("OMP_NUM_THREADS") : "1")));
+  benchmark::Initialize(&argc, argv);
+  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
+  benchmark::RunSpecifiedBenchmarks();
+  benchmark::Shutdown();
+}
