@@ -1,7 +1,7 @@
 """Architectures with random weights: the C++ reader against PyTorch, at batch 1, 3 and 8.
 
 The probe of a card is that comparison, `tt3d model check --json` reports it. By default a few
-small networks, one of each kind; with TT3D_ZOO=1 all of the paper's eleven and the timm families below.
+small networks, one of each kind; with TT3D_ZOO=1 the paper's eleven and all families below.
 """
 
 import json
