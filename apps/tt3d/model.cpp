@@ -1,9 +1,9 @@
 #include <ATen/ATen.h>
-#include <ATen/Parallel.h>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <iostream>
+#include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <unordered_map>
@@ -24,7 +24,8 @@ struct ModelArguments {
   std::vector<std::string> images;
   int top = 5;
   int batch = 8;
-  bool no_fold = false, no_channels_last = false;
+  bool no_fold = false, no_channels_last = false, no_probe = false;
+  Precision precision = Precision::kFloat32;
 };
 
 /// Warnings of the library go to stderr.
@@ -34,10 +35,12 @@ class Warnings : public Progress {
 };
 
 std::shared_ptr<Classifier> load(const ModelArguments& arguments, const Common& common) {
-  if (common.threads > 0) at::set_num_threads(common.threads);
+  apply_common(common);
   ModelOptions options;
   options.fold_batch_norm = !arguments.no_fold;
   options.channels_last = !arguments.no_channels_last;
+  options.check_probe = !arguments.no_probe;
+  options.precision = arguments.precision;
   Warnings warnings;
   return Classifier::load(arguments.model, {}, &warnings, options);
 }
@@ -58,6 +61,8 @@ Json card_json(const Classifier& model) {
 }
 
 void check(const ModelArguments& arguments, const Common& common) {
+  reset_peak_memory();
+  const int64_t before = peak_memory_bytes();
   const double start = now_seconds();
   const auto model = load(arguments, common);
   const double seconds = now_seconds() - start;
@@ -65,6 +70,8 @@ void check(const ModelArguments& arguments, const Common& common) {
   if (common.json) {
     Json result = card_json(*model);
     result["load_seconds"] = seconds;
+    result["load_peak_bytes"] = peak_memory_bytes() - before;
+    result["archive_bytes"] = fs::file_size(model->path());
     result["probe"] = nullptr;
     if (probe.present) {
       result["probe"] = {{"logit_error", probe.logit_error},
@@ -239,6 +246,14 @@ void classify(const ModelArguments& arguments, const Common& common) {
 void add_speed_options(CLI::App& command, ModelArguments& arguments) {
   command.add_flag("--no-fold", arguments.no_fold, "do not fold batch normalisation");
   command.add_flag("--no-channels-last", arguments.no_channels_last, "keep the plain layout");
+  static const std::map<std::string, Precision> names = {
+      {"float32", Precision::kFloat32}, {"bf16", Precision::kBfloat16}, {"tf32", Precision::kTf32}};
+  command
+      .add_option("--precision", arguments.precision,
+                  "of convolutions and matrix products: float32, bf16 where the processor has it, "
+                  "tf32 on CUDA")
+      ->transform(CLI::CheckedTransformer(names).description(""))
+      ->option_text("NAME");
 }
 
 }  // namespace
@@ -250,6 +265,7 @@ void add_model_command(CLI::App& app, Common& common) {
 
   CLI::App* check_command = model->add_subcommand("check", "Read a package and run its probe");
   check_command->add_option("MODEL", arguments->model, "path to a .pt2 or a name")->required();
+  check_command->add_flag("--no-probe", arguments->no_probe, "read only, run nothing");
   add_speed_options(*check_command, *arguments);
   check_command->callback([arguments, &common] { check(*arguments, common); });
 
@@ -269,8 +285,7 @@ void add_model_command(CLI::App& app, Common& common) {
   list_command->callback([&common] { list(common); });
 
   for (CLI::App* command : {check_command, classify_command, list_command}) {
-    command->add_flag("--json", common.json, "print JSON");
-    command->add_option("--threads", common.threads, "CPU threads (default: all)");
+    add_common_options(*command, common);
   }
 }
 

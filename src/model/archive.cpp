@@ -3,6 +3,10 @@
 #include <fmt/format.h>
 #include <sys/stat.h>
 #include <zip.h>
+#include <zlib.h>
+
+#include <algorithm>
+#include <cstring>
 
 #include "malformed.h"
 
@@ -14,15 +18,11 @@ constexpr uint64_t kMaxCompressionRatio = 200;
 
 void close_zip(zip* archive) { zip_discard(archive); }
 
-zip* open_zip(const std::filesystem::path& path) {
-  int code = 0;
-  zip* archive = zip_open(path.c_str(), ZIP_RDONLY | ZIP_CHECKCONS, &code);
-  if (archive != nullptr) return archive;
-  if (code == ZIP_ER_EXISTS) throw Malformed("an entry is there twice");
-  zip_error_t error;
-  zip_error_init_with_code(&error, code);
+[[noreturn]] void throw_unreadable(zip_error_t& error) {
+  const bool twice = zip_error_code_zip(&error) == ZIP_ER_EXISTS;
   const std::string reason = zip_error_strerror(&error);
   zip_error_fini(&error);
+  if (twice) throw Malformed("an entry is there twice");
   throw Malformed(fmt::format(
       "not a readable zip archive ({}); expected a .pt2 file written by torch.export.save",
       reason));
@@ -76,19 +76,102 @@ void check_entry_size(const zip_stat_t& stat, const std::string& name) {
 
 }  // namespace
 
-Archive::Archive(const std::filesystem::path& path, const ModelLimits& limits)
-    : zip_(nullptr, &close_zip), limits_(limits) {
-  const auto file_bytes = static_cast<int64_t>(std::filesystem::file_size(path));
-  if (file_bytes > limits.archive_bytes) {
-    throw Malformed(
-        fmt::format("has {} bytes, more than the limit of {}; raise archive_bytes of "
-                    "the model limits if you trust it",
-                    file_bytes, limits.archive_bytes));
+/// The mapped file as libzip reads it. It notes where the latest read began: that is how the place
+/// of an entry's data is found without reading zip headers by hand.
+struct Archive::Source {
+  explicit Source(std::string_view file_bytes) : bytes(file_bytes) { zip_error_init(&error); }
+  ~Source() { zip_error_fini(&error); }
+  Source(const Source&) = delete;
+  Source& operator=(const Source&) = delete;
+
+  static zip_int64_t handle(void* self, void* data, zip_uint64_t length, zip_source_cmd_t command);
+  zip_int64_t read(void* data, zip_uint64_t length);
+  zip_int64_t seek(void* data, zip_uint64_t length);
+  zip_int64_t describe(void* data) const;
+
+  std::string_view bytes;
+  uint64_t position = 0, last_read = 0;
+  zip_error_t error;
+};
+
+zip_int64_t Archive::Source::read(void* data, zip_uint64_t length) {
+  const uint64_t count = std::min<uint64_t>(length, bytes.size() - position);
+  std::memcpy(data, bytes.data() + position, count);
+  last_read = position;
+  position += count;
+  return static_cast<zip_int64_t>(count);
+}
+
+zip_int64_t Archive::Source::seek(void* data, zip_uint64_t length) {
+  const zip_int64_t target =
+      zip_source_seek_compute_offset(position, bytes.size(), data, length, &error);
+  if (target < 0) return -1;
+  position = static_cast<uint64_t>(target);
+  return 0;
+}
+
+zip_int64_t Archive::Source::describe(void* data) const {
+  auto* stat = static_cast<zip_stat_t*>(data);
+  zip_stat_init(stat);
+  stat->size = bytes.size();
+  stat->valid = ZIP_STAT_SIZE;
+  return sizeof(*stat);
+}
+
+zip_int64_t Archive::Source::handle(void* self, void* data, zip_uint64_t length,
+                                    zip_source_cmd_t command) {
+  auto& source = *static_cast<Source*>(self);
+  switch (command) {
+    case ZIP_SOURCE_OPEN:
+      source.position = 0;
+      return 0;
+    case ZIP_SOURCE_READ:
+      return source.read(data, length);
+    case ZIP_SOURCE_SEEK:
+      return source.seek(data, length);
+    case ZIP_SOURCE_TELL:
+      return static_cast<zip_int64_t>(source.position);
+    case ZIP_SOURCE_STAT:
+      return source.describe(data);
+    case ZIP_SOURCE_ERROR:
+      return zip_error_to_data(&source.error, data, length);
+    case ZIP_SOURCE_CLOSE:
+    case ZIP_SOURCE_FREE:
+      return 0;
+    case ZIP_SOURCE_SUPPORTS:
+      return zip_source_make_command_bitmap(
+          ZIP_SOURCE_OPEN, ZIP_SOURCE_READ, ZIP_SOURCE_CLOSE, ZIP_SOURCE_STAT, ZIP_SOURCE_ERROR,
+          ZIP_SOURCE_FREE, ZIP_SOURCE_SEEK, ZIP_SOURCE_TELL, ZIP_SOURCE_SUPPORTS, -1);
+    default:
+      zip_error_set(&source.error, ZIP_ER_OPNOTSUPP, 0);
+      return -1;
   }
-  zip_.reset(open_zip(path));
+}
+
+Archive::Archive(std::shared_ptr<const MappedFile> file, const ModelLimits& limits)
+    : file_(std::move(file)),
+      source_(std::make_unique<Source>(file_->bytes())),
+      zip_(open_zip(), &close_zip),
+      limits_(limits) {
   list_entries();
   strip_root();
   check_format();
+}
+
+Archive::~Archive() = default;
+
+zip* Archive::open_zip() {
+  zip_error_t error;
+  zip_error_init(&error);
+  zip_source_t* source = zip_source_function_create(&Source::handle, source_.get(), &error);
+  if (source == nullptr) throw_unreadable(error);
+  zip* archive = zip_open_from_source(source, ZIP_RDONLY | ZIP_CHECKCONS, &error);
+  if (archive == nullptr) {
+    zip_source_free(source);
+    throw_unreadable(error);
+  }
+  zip_error_fini(&error);
+  return archive;
 }
 
 void Archive::list_entries() {
@@ -118,7 +201,11 @@ void Archive::add_entry(uint64_t index) {
                     limits_.archive_bytes));
   }
   total_bytes_ += size;
-  if (!entries_.emplace(name, Entry{index, size}).second) {
+  Entry entry{index, size, std::nullopt};
+  if (stat.comp_method == ZIP_CM_STORE && (stat.valid & ZIP_STAT_CRC) != 0) {
+    entry.stored_crc = stat.crc;
+  }
+  if (!entries_.emplace(name, entry).second) {
     throw Malformed(fmt::format("entry '{}' is there twice", name));
   }
 }
@@ -184,6 +271,23 @@ void Archive::read(const std::string& name, void* target) const {
   if (zip_fread(file.get(), &beyond, 1) != 0) {
     throw Malformed(fmt::format("entry '{}' is damaged (checksum or size)", name));
   }
+}
+
+std::optional<std::string_view> Archive::mapped(const std::string& name) const {
+  const auto bytes = static_cast<size_t>(size(name));
+  const Entry& entry = entries_.at(name);
+  if (!entry.stored_crc || bytes == 0) return std::nullopt;
+  const std::unique_ptr<zip_file_t, int (*)(zip_file_t*)> file(
+      zip_fopen_index(zip_.get(), entry.index, ZIP_FL_COMPRESSED), &zip_fclose);
+  char first = 0;
+  if (file == nullptr || zip_fread(file.get(), &first, 1) != 1) return std::nullopt;
+  const std::string_view whole = file_->bytes();
+  if (bytes > whole.size() - source_->last_read) return std::nullopt;
+  const std::string_view data = whole.substr(source_->last_read, bytes);
+  const auto crc =
+      crc32_z(crc32_z(0, nullptr, 0), reinterpret_cast<const Bytef*>(data.data()), data.size());
+  if (crc != *entry.stored_crc) return std::nullopt;
+  return data;
 }
 
 std::string Archive::text(const std::string& name) const {

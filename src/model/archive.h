@@ -1,13 +1,15 @@
 #pragma once
 
 #include <cstdint>
-#include <filesystem>
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
+#include <string_view>
 
-#include "tt3d/model.h"
+#include "mapped_file.h"
+#include "tt3d/model_card.h"
 
 struct zip;
 
@@ -17,7 +19,10 @@ namespace tt3d::model {
 /// entry (names, duplicates, links, sizes) before any is read. All functions throw Malformed.
 class Archive {
  public:
-  Archive(const std::filesystem::path& path, const ModelLimits& limits);
+  Archive(std::shared_ptr<const MappedFile> file, const ModelLimits& limits);
+  ~Archive();
+  Archive(const Archive&) = delete;
+  Archive& operator=(const Archive&) = delete;
 
   /// True if the root folder holds a file of this relative name.
   [[nodiscard]] bool has(const std::string& name) const { return entries_.count(name) != 0; }
@@ -25,6 +30,10 @@ class Archive {
   [[nodiscard]] int64_t size(const std::string& name) const;
   /// Reads a whole file into `target`, which has size(name) bytes; checks its CRC.
   void read(const std::string& name, void* target) const;
+  /// The bytes of a file where they lie in the mapped archive, CRC checked; nothing if the file
+  /// is compressed or damaged, which read() tells apart. Valid as long as file() is.
+  [[nodiscard]] std::optional<std::string_view> mapped(const std::string& name) const;
+  [[nodiscard]] const std::shared_ptr<const MappedFile>& file() const { return file_; }
   /// Reads a text file.
   [[nodiscard]] std::string text(const std::string& name) const;
   /// Reads a JSON file of limited depth; values under keys "metadata" are dropped.
@@ -36,12 +45,18 @@ class Archive {
   struct Entry {
     uint64_t index = 0;
     int64_t size = 0;
+    std::optional<uint32_t> stored_crc;  ///< only of entries that are not compressed
   };
+  struct Source;
   void list_entries();
   void add_entry(uint64_t index);
   void strip_root();
   void check_format() const;
 
+  [[nodiscard]] zip* open_zip();
+
+  std::shared_ptr<const MappedFile> file_;
+  std::unique_ptr<Source> source_;  ///< outlives zip_, which reads through it
   std::unique_ptr<zip, void (*)(zip*)> zip_;
   std::map<std::string, Entry> entries_;
   ModelLimits limits_;

@@ -108,21 +108,14 @@ bool is_symbol_tag(const std::string& tag) {
   return tag == "as_sym_int" || tag == "as_sym_float" || tag == "as_sym_bool";
 }
 
-/// A number that stands for a tensor gives way to the other operand's type, as in Python.
-IValue wrapped_number(const IValue& number) {
-  at::Tensor tensor = at::scalar_tensor(number.toScalar(),
-                                        at::TensorOptions().dtype(number.isDouble() ? at::kDouble
-                                                                  : number.isBool() ? at::kBool
-                                                                                    : at::kLong));
-  tensor.unsafeGetTensorImpl()->set_wrapped_number(true);
-  return tensor;
-}
-
 /// Converts a literal to what the schema wants, where that loses nothing.
 Input fit_literal(const IValue& number, const std::string& tag, const c10::TypePtr& type) {
   switch (value_type(type)) {
-    case ValueType::kTensor:
-      return constant(wrapped_number(number));
+    case ValueType::kTensor: {
+      Input input = constant(number);
+      input.kind = Input::Kind::kNumber;
+      return input;
+    }
     case ValueType::kScalar:
       return constant(number);
     case ValueType::kFloat:

@@ -1,10 +1,12 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <string>
 #include <vector>
 
-#include "tt3d/model.h"
+#include "tt3d/core.h"
+#include "tt3d/model_card.h"
 
 namespace tt3d::model {
 

@@ -1,16 +1,15 @@
 #include <ATen/ATen.h>
 #include <fmt/format.h>
 
-#include <mutex>
 #include <new>
-#include <optional>
 
 #include "archive.h"
+#include "batch_runner.h"
 #include "card.h"
 #include "graph_reader.h"
 #include "malformed.h"
+#include "precision.h"
 #include "probe.h"
-#include "program.h"
 #include "rewrite.h"
 #include "tt3d/model.h"
 
@@ -18,9 +17,11 @@ namespace tt3d {
 namespace fs = std::filesystem;
 namespace {
 
+using model::BatchRunner;
 using model::CardFile;
 using model::Graph;
 using model::Malformed;
+using model::MappedFile;
 
 at::Tensor channel_tensor(const std::vector<double>& values) {
   return at::tensor(values, at::kDouble).to(at::kFloat).view({1, 3, 1, 1});
@@ -29,13 +30,12 @@ at::Tensor channel_tensor(const std::vector<double>& values) {
 /// Runs the graph of a package; see tt3d/model.h.
 class Pt2Classifier final : public Classifier {
  public:
-  Pt2Classifier(fs::path path, const CardFile& file, Graph graph, const ModelLimits& limits,
+  Pt2Classifier(fs::path path, const CardFile& file, std::shared_ptr<BatchRunner> runner,
                 bool channels_last)
       : path_(std::move(path)),
         card_(file.card),
-        limits_(limits),
+        runner_(std::move(runner)),
         channels_last_(channels_last),
-        graph_(std::move(graph)),
         mean_(channel_tensor(card_.mean)),
         std_(channel_tensor(card_.std)) {}
 
@@ -46,21 +46,23 @@ class Pt2Classifier final : public Classifier {
 
   at::Tensor logits(const at::Tensor& images) const override {
     check_images(images);
-    const Graph& graph = graph_on(images.device());
     at::Tensor input = (images - mean_.to(images.device())) / std_.to(images.device());
     if (channels_last_) input = input.contiguous(at::MemoryFormat::ChannelsLast);
     try {
-      return run_chunks(graph, input);
+      return runner_->logits(input);
     } catch (const Malformed& error) {
       throw InputError(path_, error.what());
+    } catch (const ResourceError& error) {
+      throw ResourceError(path_.string() + ": " + error.what());
     }
   }
 
   std::string weights_hash() const override {
+    const Graph& graph = runner_->graph();
     std::string digests;
-    for (const auto& [slot, tensor] : graph_.constants) {
+    for (const auto& [slot, tensor] : graph.constants) {
       const at::Tensor bytes = tensor.cpu().contiguous();
-      digests += graph_.names[static_cast<size_t>(slot)];
+      digests += graph.names[static_cast<size_t>(slot)];
       digests += sha256({static_cast<const char*>(bytes.const_data_ptr()), bytes.nbytes()});
     }
     return sha256(digests);
@@ -77,81 +79,21 @@ class Pt2Classifier final : public Classifier {
                                  card_.name, card_.height, card_.width));
   }
 
-  /// The graph with its weights on `device`; the last device other than the CPU is kept.
-  const Graph& graph_on(at::Device device) const {
-    if (device.is_cpu()) return graph_;
-    if (!moved_ || moved_device_ != device) {
-      moved_ = graph_;
-      moved_device_ = device;
-      for (auto& [slot, tensor] : moved_->constants) tensor = tensor.to(device);
-    }
-    return *moved_;
-  }
-
-  /// Batches beyond the exported range run in parts.
-  at::Tensor run_chunks(const Graph& graph, const at::Tensor& input) const {
-    const int64_t total = input.size(0);
-    if (total <= graph.max_batch) return run_split(graph, input);
-    std::vector<at::Tensor> parts;
-    for (int64_t start = 0; start < total; start += graph.max_batch) {
-      const int64_t end = std::min(total, start + graph.max_batch);
-      parts.push_back(run_split(graph, input.slice(0, start, end)));
-    }
-    return at::cat(parts, 0);
-  }
-
-  /// Halves the batch while it does not fit in memory.
-  at::Tensor run_split(const Graph& graph, const at::Tensor& input) const {
-    const int64_t count = input.size(0);
-    try {
-      return run_padded(graph, input);
-    } catch (const model::MemoryLimit& error) {
-      if (count == 1) throw ResourceError(path_.string() + ": " + error.what());
-    } catch (const std::bad_alloc&) {
-      if (count == 1) throw ResourceError(path_.string() + ": out of memory at batch 1");
-    }
-    const at::Tensor first = run_split(graph, input.slice(0, 0, count / 2));
-    return at::cat({first, run_split(graph, input.slice(0, count / 2, count))}, 0);
-  }
-
-  /// Batches below the exported range are filled up with zeros.
-  at::Tensor run_padded(const Graph& graph, const at::Tensor& input) const {
-    const int64_t count = input.size(0), missing = graph.min_batch - count;
-    if (missing <= 0) return checked(graph, run(graph, input), count);
-    const at::Tensor filler = at::zeros({missing, 3, card_.height, card_.width}, input.options());
-    const at::Tensor padded = at::cat({input, filler}, 0);
-    return checked(graph, run(graph, padded), graph.min_batch).slice(0, 0, count);
-  }
-
-  at::Tensor run(const Graph& graph, const at::Tensor& input) const {
-    return model::run_graph(graph, input, limits_.intermediate_bytes);
-  }
-
-  static at::Tensor checked(const Graph& graph, const at::Tensor& logits, int64_t count) {
-    if (logits.dim() != 2 || logits.size(0) != count || logits.size(1) != graph.classes ||
-        logits.scalar_type() != at::kFloat) {
-      throw Malformed("the graph did not give float32 logits [N,classes]");
-    }
-    return logits;
-  }
-
   fs::path path_;
   ModelCard card_;
-  ModelLimits limits_;
+  std::shared_ptr<BatchRunner> runner_;
   bool channels_last_;
-  Graph graph_;
   at::Tensor mean_, std_;
   ProbeReport probe_;
-  mutable std::optional<Graph> moved_;
-  mutable at::Device moved_device_ = at::kCPU;
 };
 
-void check_sha256(const fs::path& archive, const CardFile& file) {
-  const std::string actual = sha256_file(archive);
+void check_sha256(const MappedFile& archive, const CardFile& file) {
+  const std::string actual = sha256(archive.bytes());
   if (actual == file.card.sha256) return;
-  throw InputError(archive, fmt::format("SHA-256 is {}, its card says {}; the files do not belong "
-                                        "together or one is damaged",
-                                        actual, file.card.sha256));
+  throw Malformed(
+      fmt::format("SHA-256 is {}, its card says {}; the files do not belong together "
+                  "or one is damaged",
+                  actual, file.card.sha256));
 }
 
 void check_against_card(const Graph& graph, const ModelCard& card) {
@@ -165,22 +107,40 @@ void check_against_card(const Graph& graph, const ModelCard& card) {
   }
 }
 
-/// Reads the archive and prepares it as `options` say; probes it.
-std::shared_ptr<Pt2Classifier> build(const fs::path& path, const CardFile& file,
-                                     const ModelLimits& limits, const ModelOptions& options) {
-  Graph graph = model::read_graph(model::Archive(path, limits), limits);
-  check_against_card(graph, file.card);
+/// A package on its way to a classifier.
+struct Package {
+  fs::path path;
+  CardFile card;
+  std::shared_ptr<const MappedFile> archive;
+  ModelLimits limits;
+};
+
+/// The graph as `options` say, and whether it wants its images channels-last.
+std::pair<Graph, bool> prepare(const Package& package, const ModelOptions& options) {
+  Graph graph = model::read_graph(model::Archive(package.archive, package.limits), package.limits);
+  check_against_card(graph, package.card.card);
+  const bool channels_last = options.channels_last && model::can_use_channels_last(graph);
   if (options.fold_batch_norm) {
-    model::fold_batch_norms(graph);
+    model::fold_batch_norms(
+        graph, channels_last ? at::MemoryFormat::ChannelsLast : at::MemoryFormat::Contiguous);
     model::simplify_batch_norms(graph);
   }
-  const bool channels_last = options.channels_last && model::use_channels_last(graph);
+  if (channels_last) model::use_channels_last(graph);
+  if (options.precision == Precision::kBfloat16) model::use_bfloat16_weights(graph);
   model::find_last_uses(graph);
+  return {std::move(graph), channels_last};
+}
+
+/// Prepares the package and probes it.
+std::shared_ptr<Pt2Classifier> build(const Package& package, const ModelOptions& options) {
+  auto [graph, channels_last] = prepare(package, options);
+  auto runner = std::make_shared<BatchRunner>(std::move(graph), package.limits.intermediate_bytes,
+                                              options.precision);
   auto classifier =
-      std::make_shared<Pt2Classifier>(path, file, std::move(graph), limits, channels_last);
-  if (!options.check_probe || file.probe.cases.empty()) return classifier;
-  classifier->set_probe(
-      model::run_probe(file, [&](const at::Tensor& images) { return classifier->logits(images); }));
+      std::make_shared<Pt2Classifier>(package.path, package.card, std::move(runner), channels_last);
+  if (!options.check_probe || package.card.probe.cases.empty()) return classifier;
+  classifier->set_probe(model::run_probe(
+      package.card, [&](const at::Tensor& images) { return classifier->logits(images); }));
   return classifier;
 }
 
@@ -191,45 +151,62 @@ std::string describe(const ProbeReport& report) {
       report.logit_error, report.gradient_cosine, report.gradient_ratio);
 }
 
-[[noreturn]] void throw_probe(const fs::path& path, const ProbeReport& report) {
-  throw InputError(path, fmt::format("the probe of its card disagrees ({}); the card belongs to "
-                                     "another model, export it again",
-                                     describe(report)));
+[[noreturn]] void throw_probe(const fs::path& path, const ProbeReport& report,
+                              Precision precision) {
+  const char* advice = precision == Precision::kBfloat16
+                           ? "run it in float32"
+                           : "the card belongs to another model, export it again";
+  throw InputError(
+      path, fmt::format("the probe of its card disagrees ({}); {}", describe(report), advice));
 }
 
-std::shared_ptr<Classifier> load_checked(const fs::path& path, const CardFile& file,
-                                         const ModelLimits& limits, Progress* warn,
+std::shared_ptr<Classifier> load_checked(const Package& package, Progress* warn,
                                          const ModelOptions& options) {
-  const auto classifier = build(path, file, limits, options);
-  if (file.probe.cases.empty() && warn != nullptr) {
+  const fs::path& path = package.path;
+  const auto classifier = build(package, options);
+  const ProbeReport& report = classifier->probe();
+  if (package.card.probe.cases.empty() && warn != nullptr) {
     warn->note(path.string() + ": its card has no probe, so its answers are not checked");
   }
-  if (!classifier->probe().present || model::probe_holds(classifier->probe())) return classifier;
-  if (!options.fold_batch_norm && !options.channels_last) throw_probe(path, classifier->probe());
-  const auto plain = build(path, file, limits, {false, false, true});
-  if (!model::probe_holds(plain->probe())) throw_probe(path, plain->probe());
+  if (!report.present || model::probe_holds(report, options.precision)) return classifier;
+  if (!options.fold_batch_norm && !options.channels_last) {
+    throw_probe(path, report, options.precision);
+  }
+  ModelOptions careful = options;
+  careful.fold_batch_norm = careful.channels_last = false;
+  const auto plain = build(package, careful);
+  if (!model::probe_holds(plain->probe(), options.precision)) {
+    throw_probe(path, plain->probe(), options.precision);
+  }
   if (warn != nullptr) {
     warn->note(path.string() + ": runs without batch-norm folding and channels-last, with which " +
-               describe(classifier->probe()));
+               describe(report));
   }
   return plain;
 }
 
-}  // namespace
-
-std::shared_ptr<Classifier> Classifier::load(const std::string& name, const ModelLimits& limits,
-                                             Progress* warn, const ModelOptions& options) {
-  const fs::path path = find_model(name);
+/// Reads the card, maps the archive, and checks that they belong together.
+Package open_package(const fs::path& path, const ModelLimits& limits) {
   fs::path card = path;
   card.replace_extension(".json");
   if (!fs::exists(card)) {
     throw InputError(path, "has no card " + card.filename().string() +
                                " beside it; write one with 'python -m tt3d_tools.card'");
   }
-  const CardFile file = model::read_card(card, limits);
-  check_sha256(path, file);
+  Package package{path, model::read_card(card, limits), nullptr, limits};
+  package.archive = MappedFile::open(path, limits.archive_bytes);
+  check_sha256(*package.archive, package.card);
+  return package;
+}
+
+}  // namespace
+
+std::shared_ptr<Classifier> Classifier::load(const std::string& name, const ModelLimits& limits,
+                                             Progress* warn, const ModelOptions& options) {
+  if (!options.allow_slow) model::check_precision(options.precision);
+  const fs::path path = find_model(name);
   try {
-    return load_checked(path, file, limits, warn, options);
+    return load_checked(open_package(path, limits), warn, options);
   } catch (const Malformed& error) {
     throw InputError(path, error.what());
   } catch (const c10::Error& error) {

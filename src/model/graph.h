@@ -20,6 +20,7 @@ enum class ValueType { kTensor, kInt, kFloat, kBool, kScalar };
 struct Input {
   enum class Kind {
     kConstant,  ///< `constant`
+    kNumber,    ///< `constant`, a number that stands for a tensor
     kSlot,      ///< the value of `slot`, as `type`
     kList,      ///< `items`, as a list of `type`
     kDevice,    ///< the device that the model runs on

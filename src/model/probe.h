@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "card.h"
+#include "tt3d/model.h"
 
 namespace tt3d::model {
 
@@ -20,7 +21,7 @@ namespace tt3d::model {
 [[nodiscard]] ProbeReport run_probe(const CardFile& file,
                                     const std::function<at::Tensor(const at::Tensor&)>& logits);
 
-/// True if the differences are those of rounding, not of another model.
-[[nodiscard]] bool probe_holds(const ProbeReport& report);
+/// True if the differences are those of rounding to `precision`, not of another model.
+[[nodiscard]] bool probe_holds(const ProbeReport& report, Precision precision);
 
 }  // namespace tt3d::model

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <unordered_set>
+
 #include "malformed.h"
 
 namespace tt3d::model {
@@ -9,33 +11,17 @@ namespace {
 
 using c10::IValue;
 
-/// Memory that the values of a run hold. With autograd on, what backward needs stays after the
-/// value itself is released, so nothing is given back.
-class MemoryMeter {
- public:
-  MemoryMeter(int64_t limit, bool keeps_all) : limit_(limit), keeps_all_(keeps_all) {}
+/// Parts that an operator may cut a tensor into: far above any network, and small enough that the
+/// list of them is no burden.
+constexpr int64_t kMaxParts = 1 << 16;
 
-  void add(const at::Tensor& tensor) {
-    held_ += static_cast<int64_t>(tensor.storage().nbytes());
-    if (held_ <= limit_) return;
-    throw MemoryLimit(fmt::format("intermediate results pass the limit of {} bytes", limit_));
-  }
-  void release(const at::Tensor& tensor) {
-    if (keeps_all_ || tensor.storage().use_count() != 1) return;
-    held_ -= static_cast<int64_t>(tensor.storage().nbytes());
-  }
-
- private:
-  int64_t limit_;
-  bool keeps_all_;
-  int64_t held_ = 0;
-};
-
+/// A number that stands for a tensor gives way to the other operand's type, as in Python. It is
+/// made anew each time: an operator may write into it.
 at::Tensor to_tensor(const IValue& value) {
   if (value.isTensor()) return value.toTensor();
   if (!value.isScalar()) throw Malformed("expected a tensor or number");
-  at::Tensor tensor = at::scalar_tensor(
-      value.toScalar(), at::TensorOptions().dtype(value.isDouble() ? at::kDouble : at::kLong));
+  const auto type = value.isDouble() ? at::kDouble : value.isBool() ? at::kBool : at::kLong;
+  at::Tensor tensor = at::scalar_tensor(value.toScalar(), at::TensorOptions().dtype(type));
   tensor.unsafeGetTensorImpl()->set_wrapped_number(true);
   return tensor;
 }
@@ -66,12 +52,12 @@ IValue as_type(const IValue& value, ValueType type) {
 /// The state of one run.
 class Run {
  public:
-  Run(const Graph& graph, const at::Tensor& images, int64_t intermediate_bytes)
-      : graph_(graph),
-        device_(images.device()),
-        values_(graph.names.size()),
-        meter_(intermediate_bytes, at::GradMode::is_enabled() && images.requires_grad()) {
-    for (const auto& [slot, tensor] : graph.constants) values_[static_cast<size_t>(slot)] = tensor;
+  Run(const Graph& graph, const at::Tensor& images, MemoryMeter& meter)
+      : graph_(graph), device_(images.device()), values_(graph.names.size()), meter_(meter) {
+    for (const auto& [slot, tensor] : graph.constants) {
+      values_[static_cast<size_t>(slot)] = tensor;
+      weight_memory_.insert(tensor.storage().unsafeGetStorageImpl());
+    }
     values_[static_cast<size_t>(graph.input)] = images;
   }
 
@@ -89,6 +75,7 @@ class Run {
     try {
       step.op ? call(step) : compute(step);
     } catch (const c10::Error& error) {
+      if (is_out_of_memory(error)) throw MemoryLimit("out of memory");
       throw Malformed(fmt::format("node '{}' ({}) fails: {}", step.name, step.target,
                                   first_line(error.what_without_backtrace())));
     } catch (const Malformed& error) {
@@ -112,14 +99,49 @@ class Run {
     torch::jit::Stack stack;
     stack.reserve(step.inputs.size());
     for (const Input& input : step.inputs) stack.push_back(make(input));
+    check_writes(step, stack);
+    check_parts(step, stack);
     step.op->callBoxed(stack);
     for (size_t i = 0; i < step.outputs.size(); ++i) store(step, step.outputs[i], stack.at(i));
+  }
+
+  /// The graph was checked for writes to weights; views that the schemas do not tell of show here.
+  void check_writes(const Step& step, const torch::jit::Stack& stack) const {
+    const auto& arguments = step.op->schema().arguments();
+    for (size_t i = 0; i < arguments.size(); ++i) {
+      const auto* alias = arguments[i].alias_info();
+      if (alias == nullptr || !alias->isWrite() || !stack[i].isTensor()) continue;
+      const at::Tensor& tensor = stack[i].toTensor();
+      if (tensor.defined() && weight_memory_.count(tensor.storage().unsafeGetStorageImpl()) != 0) {
+        throw Malformed("writes to a weight; a victim cannot change");
+      }
+    }
+  }
+
+  /// Refuses to cut a tensor into more parts than a list should hold.
+  static void check_parts(const Step& step, const torch::jit::Stack& stack) {
+    const auto& returns = step.op->schema().returns();
+    if (returns.empty() || returns[0].type()->kind() != c10::TypeKind::ListType) return;
+    const auto& arguments = step.op->schema().arguments();
+    int64_t dim = 0, parts = 0;
+    for (size_t i = 0; i < arguments.size(); ++i) {
+      const std::string& name = arguments[i].name();
+      if (name == "dim") dim = stack[i].toInt();
+      if (name == "chunks" || name == "sections") parts = stack[i].toInt();
+    }
+    const IValue& self = stack.at(0);
+    const bool has_dim =
+        self.isTensor() && dim < self.toTensor().dim() && dim >= -self.toTensor().dim();
+    if (has_dim && parts == 0) parts = self.toTensor().size(dim);
+    if (parts > kMaxParts) throw Malformed("cuts a tensor into too many parts");
   }
 
   IValue make(const Input& input) {
     switch (input.kind) {
       case Input::Kind::kConstant:
         return input.constant;
+      case Input::Kind::kNumber:
+        return to_tensor(input.constant);
       case Input::Kind::kSlot:
         return as_type(value(input.slot), input.type);
       case Input::Kind::kDevice:
@@ -181,6 +203,7 @@ class Run {
   void count(const Step& step, const IValue& result) {
     if (!result.isTensor() || !result.toTensor().defined()) return;
     const at::Tensor& tensor = result.toTensor();
+    meter_.check_size(tensor);
     bool shared = false;
     for_each_read(step, [&](Slot slot) {
       const IValue& other = value(slot);
@@ -192,13 +215,14 @@ class Run {
   const Graph& graph_;
   at::Device device_;
   std::vector<IValue> values_;
-  MemoryMeter meter_;
+  std::unordered_set<const c10::StorageImpl*> weight_memory_;
+  MemoryMeter& meter_;
 };
 
 }  // namespace
 
-at::Tensor run_graph(const Graph& graph, const at::Tensor& images, int64_t intermediate_bytes) {
-  return Run(graph, images, intermediate_bytes).all();
+at::Tensor run_graph(const Graph& graph, const at::Tensor& images, MemoryMeter& meter) {
+  return Run(graph, images, meter).all();
 }
 
 }  // namespace tt3d::model

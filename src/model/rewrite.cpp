@@ -1,5 +1,7 @@
 #include "rewrite.h"
 
+#include <ATen/ATen.h>
+
 #include <algorithm>
 #include <unordered_map>
 #include <unordered_set>
@@ -50,6 +52,8 @@ bool is_conv(const Step& step) {
          step.target == "aten::conv3d";
 }
 
+bool is_conv2d(const Step& step) { return step.target == "aten::conv2d"; }
+
 bool is_batch_norm(const Step& step) {
   return step.target == "aten::batch_norm" ||
          step.target == "aten::_native_batch_norm_legit_no_training";
@@ -97,9 +101,20 @@ Input slot_input(Slot slot) {
   return input;
 }
 
+/// `weight` with every output channel multiplied by its scale. One allocation and nothing else:
+/// temporary copies would leave holes in the heap, as large as the model together.
+at::Tensor scaled(const at::Tensor& weight, const at::Tensor& scale, at::MemoryFormat format) {
+  std::vector<int64_t> shape(static_cast<size_t>(weight.dim()), 1);
+  shape[0] = -1;
+  const auto layout = weight.dim() == 4 ? format : at::MemoryFormat::Contiguous;
+  at::Tensor result = at::empty(weight.sizes(), weight.options(), layout);
+  return at::mul_out(result, weight, scale.to(at::kFloat).reshape(shape));
+}
+
 /// Puts scale and shift into the convolution; false if its weight does not fit. The weight is let
 /// go at once where nothing else reads it, so that folding needs no second copy of the model.
-bool fold_into(Graph& graph, Step& conv, const Affine& affine, const std::vector<int>& reads) {
+bool fold_into(Graph& graph, Step& conv, const Affine& affine, const std::vector<int>& reads,
+               at::MemoryFormat format) {
   const auto weight_index = static_cast<size_t>(argument_index(conv, "weight"));
   const auto bias_index = static_cast<size_t>(argument_index(conv, "bias"));
   const at::Tensor weight = weight_of(graph, conv.inputs[weight_index]);
@@ -109,16 +124,13 @@ bool fold_into(Graph& graph, Step& conv, const Affine& affine, const std::vector
       weight.size(0) != affine.scale.size(0)) {
     return false;
   }
-  std::vector<int64_t> shape(static_cast<size_t>(weight.dim()), 1);
-  shape[0] = -1;
-  const at::Tensor folded = weight.to(at::kDouble) * affine.scale.reshape(shape);
   at::Tensor shift = affine.shift;
   if (bias.defined()) shift = shift + bias.to(at::kDouble) * affine.scale;
   const std::string& name = conv.name;
   const Slot old = conv.inputs[weight_index].slot;
   if (reads[static_cast<size_t>(old)] == 1) graph.constants.erase(old);
-  conv.inputs[weight_index] =
-      slot_input(add_constant(graph, name + ".folded_weight", folded.to(at::kFloat)));
+  const at::Tensor folded = scaled(weight, affine.scale, format);
+  conv.inputs[weight_index] = slot_input(add_constant(graph, name + ".folded_weight", folded));
   conv.inputs[bias_index] =
       slot_input(add_constant(graph, name + ".folded_bias", shift.to(at::kFloat)));
   return true;
@@ -178,7 +190,7 @@ bool writes_through_views(const Graph& graph) {
 
 }  // namespace
 
-int fold_batch_norms(Graph& graph) {
+int fold_batch_norms(Graph& graph, at::MemoryFormat format) {
   const std::vector<int> reads = count_reads(graph);
   std::unordered_map<Slot, size_t> producer;
   std::unordered_map<Slot, Slot> moved;
@@ -192,7 +204,8 @@ int fold_batch_norms(Graph& graph) {
     const auto conv = producer.find(before);
     if (conv == producer.end() || reads[static_cast<size_t>(before)] != 1) continue;
     const Affine affine = affine_of(graph, step);
-    if (!affine.scale.defined() || !fold_into(graph, graph.steps[conv->second], affine, reads)) {
+    if (!affine.scale.defined() ||
+        !fold_into(graph, graph.steps[conv->second], affine, reads, format)) {
       continue;
     }
     moved[step.outputs[0].slots[0]] = before;
@@ -232,10 +245,12 @@ int simplify_batch_norms(Graph& graph) {
   return count;
 }
 
-bool use_channels_last(Graph& graph) {
-  const auto is_conv2d = [](const Step& step) { return step.target == "aten::conv2d"; };
-  if (std::none_of(graph.steps.begin(), graph.steps.end(), is_conv2d)) return false;
-  if (writes_through_views(graph)) return false;
+bool can_use_channels_last(const Graph& graph) {
+  return std::any_of(graph.steps.begin(), graph.steps.end(), is_conv2d) &&
+         !writes_through_views(graph);
+}
+
+void use_channels_last(Graph& graph) {
   for (Step& step : graph.steps) {
     if (step.target == "aten::view" && step.op->schema().overload_name().empty()) {
       step.op = find_operator("torch.ops.aten.reshape.default");
@@ -248,7 +263,6 @@ bool use_channels_last(Graph& graph) {
     if (found == graph.constants.end() || found->second.dim() != 4) continue;
     found->second = found->second.contiguous(at::MemoryFormat::ChannelsLast);
   }
-  return true;
 }
 
 }  // namespace tt3d::model

@@ -5,8 +5,9 @@
 namespace tt3d::model {
 
 /// Folds a batch normalisation that directly follows a convolution, and is the only user of its
-/// result, into the convolution's weight and bias (computed in float64). Returns how many.
-int fold_batch_norms(Graph& graph);
+/// result, into the convolution's weight and bias; weights of 2D convolutions are laid out as
+/// `format` says. Returns how many.
+int fold_batch_norms(Graph& graph, at::MemoryFormat format);
 
 /// Turns the batch normalisations that remain into one multiply-add with constants. That is less
 /// work, and right: the backward of torch's batch_norm on the CPU (2.11) reads a gradient in the
@@ -14,9 +15,12 @@ int fold_batch_norms(Graph& graph);
 /// Returns how many.
 int simplify_batch_norms(Graph& graph);
 
+/// False where the graph depends on the layout of its intermediate results (writes through views)
+/// or has no 2D convolutions.
+[[nodiscard]] bool can_use_channels_last(const Graph& graph);
+
 /// Stores convolution weights channels-last and turns `view` into `reshape`, which holds for any
-/// memory layout. Does nothing and returns false where the graph depends on the layout of its
-/// intermediate results (writes through views) or has no 2D convolutions.
-bool use_channels_last(Graph& graph);
+/// memory layout.
+void use_channels_last(Graph& graph);
 
 }  // namespace tt3d::model

@@ -1,5 +1,6 @@
 #include "tensor_reader.h"
 
+#include <ATen/ATen.h>
 #include <fmt/format.h>
 
 #include "malformed.h"
@@ -10,6 +11,17 @@ namespace {
 using Json = nlohmann::json;
 
 constexpr int64_t kStridedLayout = 7;
+/// That of torch's own allocations, and of the weights in archives that torch writes.
+constexpr uintptr_t kAlignment = 64;
+
+/// A uint8 tensor over a part of a mapped file, which it keeps alive; when the last tensor on it
+/// goes, as after folding, its memory goes too.
+at::Tensor view_of_file(const std::shared_ptr<const MappedFile>& file, std::string_view part) {
+  // Nothing writes through it: the graph is checked for that, and the mapping is read-only.
+  return at::from_blob(
+      const_cast<char*>(part.data()), {static_cast<int64_t>(part.size())},
+      [file, part](void*) { file->release(part); }, at::TensorOptions(at::kByte));
+}
 
 /// A folder of payloads: its files are read once, however many tensors view them.
 class PayloadFolder {
@@ -32,12 +44,21 @@ class PayloadFolder {
                       "limits ({})",
                       name, size, limits_.tensor_bytes));
     }
-    at::Tensor data = at::empty({size}, at::kByte);
-    archive_.read(name, data.data_ptr());
-    return files_.emplace(file, std::move(data)).first->second;
+    return files_.emplace(file, load(name, size)).first->second;
   }
 
  private:
+  /// In the mapped archive where the data lies there as it is, else a copy.
+  at::Tensor load(const std::string& name, int64_t size) const {
+    const auto data = archive_.mapped(name);
+    if (data && reinterpret_cast<uintptr_t>(data->data()) % kAlignment == 0) {
+      return view_of_file(archive_.file(), *data);
+    }
+    at::Tensor copy = at::empty({size}, at::kByte);
+    archive_.read(name, copy.data_ptr());
+    return copy;
+  }
+
   const Archive& archive_;
   std::string folder_;
   const ModelLimits& limits_;

@@ -263,33 +263,13 @@ TEST_F(Refusal, Limits) {
   expect_error("nested", limits);
   limits = {};
   limits.intermediate_bytes = 100;
-  expect_error("intermediate results", limits);
+  expect_error("intermediate result", limits);
 }
 
 TEST_F(Refusal, DeeplyNestedGraph) {
   entries[kGraph] = std::string(100000, '[');
   write();
   expect_error("nested deeper");
-}
-
-/// Any byte of the graph or of the weights' table may be wrong: a clean error or, where the byte
-/// does not matter, the same answers (the probe sees to that).
-TEST_F(Refusal, MutatedGraphsNeverCrash) {
-  Random random(1, "mutations");
-  int loaded = 0;
-  for (int i = 0; i < 300; ++i) {
-    Entries mutated = entries;
-    std::string& text = mutated[i % 3 == 0 ? kWeights : kGraph];
-    for (int k = 0; k < 1 + i % 3; ++k) {
-      text[static_cast<size_t>(random.index(static_cast<int64_t>(text.size())))] =
-          static_cast<char>(random.index(96) + 32);
-    }
-    testing::pack(path, mutated);
-    testing::write_card(path, "toy_cnn");
-    loaded += error().empty() ? 1 : 0;
-  }
-  EXPECT_GT(loaded, 0);
-  EXPECT_LT(loaded, 300);
 }
 
 }  // namespace

@@ -100,15 +100,6 @@ TEST(Classifier, BatchIsTheSameAsOneByOne) {
   }
 }
 
-TEST(Classifier, BatchSplitsWhenMemoryRunsShort) {
-  const auto model = Classifier::load(toy("toy_cnn"));
-  ModelLimits limits;
-  limits.intermediate_bytes = 150000;
-  const auto small = Classifier::load(toy("toy_cnn"), limits, nullptr, {true, true, false});
-  const at::Tensor images = at::rand({16, 3, 16, 16});
-  EXPECT_TRUE(at::allclose(model->logits(images), small->logits(images), 1e-4, 1e-5));
-}
-
 TEST(Classifier, WeightsNeverChange) {
   for (const std::string name : {"toy_cnn", "toy_vit"}) {
     const auto model = Classifier::load(toy(name));

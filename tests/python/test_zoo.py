@@ -1,7 +1,7 @@
 """Architectures with random weights: the C++ reader against PyTorch, at batch 1, 3 and 8.
 
 The probe of a card is that comparison, `tt3d model check --json` reports it. By default a few
-small networks; with TT3D_ZOO=1 all of the paper's eleven and the timm families below.
+small networks, one of each kind; with TT3D_ZOO=1 the paper's eleven and all families below.
 """
 
 import json
@@ -20,7 +20,11 @@ from tt3d_tools.package import write_package  # noqa: E402
 from tt3d_tools.zoo import PAPER, build_named  # noqa: E402
 
 PROGRAM = Path(os.environ.get("TT3D_PROGRAM", ROOT / "build/release/tt3d"))
-SMALL = ("mobilenet_v3_small", "timm:vit_tiny_patch16_224", "timm:convnext_atto")
+SMALL = (
+    "mobilenet_v3_small", "squeezenet1_1", "shufflenet_v2_x0_5", "googlenet",
+    "timm:vit_tiny_patch16_224", "timm:convnext_atto", "timm:regnety_002", "timm:levit_128s",
+    "timm:xcit_nano_12_p16_224", "timm:mixer_s16_224", "timm:mobilevit_xxs",
+)  # fmt: skip
 TIMM = (
     "resnetv2_50", "resnest14d", "res2net50_14w_8s", "regnety_002", "tf_efficientnet_lite0",
     "mobilenetv3_small_050", "mobilenetv4_conv_small", "ghostnet_050", "rexnet_100", "dla34",

@@ -9,30 +9,18 @@
 #include <vector>
 
 #include "tt3d/core.h"
+#include "tt3d/model_card.h"
 
 /// Classifiers as data: a torch.export archive (.pt2) and its card (.json), read without executing
 /// anything in them and run through the ATen dispatcher with gradients.
 namespace tt3d {
 
-/// The card of a model package (design, section 9 "Model package").
-struct ModelCard {
-  std::string name, architecture, source, licence;
-  int64_t height = 0, width = 0;    ///< input size in pixels
-  int64_t resize = 0;               ///< shorter side before the centre crop
-  std::string interpolation;        ///< "bilinear" or "bicubic"
-  std::vector<double> mean, std;    ///< per RGB channel, of values in [0,1]
-  std::vector<std::string> labels;  ///< one name a class, in order of the logits
-  std::vector<std::string> wnids;   ///< WordNet ids when the labels are imagenet-1k, else empty
-  std::string sha256;               ///< of the .pt2
-};
-
-/// Limits on what a package may contain.
-struct ModelLimits {
-  int64_t archive_bytes = int64_t{4} << 30;
-  int64_t nodes = 100000;
-  int64_t tensor_bytes = int64_t{2} << 30;
-  int64_t intermediate_bytes = int64_t{16} << 30;
-  int json_depth = 128;
+/// Number format of convolutions and matrix products. Weights, images and logits are float32 all
+/// the same.
+enum class Precision {
+  kFloat32,
+  kBfloat16,  ///< both factors rounded to bfloat16, as torch's autocast does it
+  kTf32,      ///< on CUDA: factors rounded to 10 bits; holds for the whole process once used
 };
 
 /// How a graph is run. The defaults are the fast way; the probe of the card is checked with them,
@@ -41,6 +29,9 @@ struct ModelOptions {
   bool fold_batch_norm = true;  ///< into the convolution before it, else a multiply-add
   bool channels_last = true;    ///< run convolutions channels-last where the graph allows it
   bool check_probe = true;      ///< compare with the card's probe on load
+  /// Below float32 the probe's bounds are wider: docs/model.md, "Speed".
+  Precision precision = Precision::kFloat32;
+  bool allow_slow = false;  ///< a reduced precision also where float32 is faster
 };
 
 /// What the probe of the card found.
@@ -55,8 +46,9 @@ struct ProbeReport {
 class Classifier {
  public:
   /// `model` is a path to a .pt2 or a name found in models/ or $TT3D_MODELS.
-  /// Throws InputError for anything wrong with archive, card or probe. `warn` receives warnings
-  /// (a card without a probe).
+  /// Throws InputError for anything wrong with archive, card or probe, and for a precision that
+  /// the machine lacks; ResourceError where memory does not suffice. `warn` receives warnings (a
+  /// card without a probe). The archive stays mapped: replace it only by renaming another over it.
   static std::shared_ptr<Classifier> load(const std::string& model, const ModelLimits& limits = {},
                                           Progress* warn = nullptr,
                                           const ModelOptions& options = {});
@@ -64,7 +56,10 @@ class Classifier {
 
   [[nodiscard]] virtual const ModelCard& card() const = 0;
   /// images [N,3,H,W] float32, RGB sRGB in [0,1], of the card's input size; returns logits
-  /// [N,classes]. Normalises by the card; differentiable with respect to the images.
+  /// float32 [N,classes]. Normalises by the card; differentiable with respect to the images. A
+  /// batch that does not fit in memory runs in parts; with gradients its backward then runs
+  /// forward again, so that one part's intermediate results are held at a time. Throws InputError
+  /// for other images, ResourceError where not even one image fits.
   [[nodiscard]] virtual at::Tensor logits(const at::Tensor& images) const = 0;
   /// SHA-256 over all parameters and buffers as they are used (after folding): the same before
   /// and after any use.
@@ -94,15 +89,5 @@ struct ModelEntry {
 /// to the card's `resize` (antialiased, as Pillow does it), then centre crop to the input size.
 /// images [N,3,h,w] float32 in [0,1]; returns [N,3,H,W]; differentiable.
 [[nodiscard]] at::Tensor preprocess(const at::Tensor& images, const ModelCard& card);
-
-/// A class of a model, found by index ("849"), WordNet id ("n04398044") or name ("teapot").
-struct ClassId {
-  int64_t index = -1;
-  std::string wnid;  ///< empty when the model has no WordNet ids
-  std::string name;
-};
-
-/// Throws InputError: unknown (with the nearest names) or ambiguous (with the candidates).
-[[nodiscard]] ClassId find_class(const std::string& text, const ModelCard& card);
 
 }  // namespace tt3d

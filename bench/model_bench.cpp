@@ -1,0 +1,52 @@
+// Worker of bench/models.py: loads a package, then answers every line on stdin with the seconds
+// that one forward and backward pass took.
+//
+//   model_bench MODEL BATCH THREADS
+
+#include <ATen/ATen.h>
+#include <ATen/Parallel.h>
+#include <torch/csrc/autograd/autograd.h>
+
+#include <cstdlib>
+#include <iostream>
+#include <string>
+
+#include "tt3d/model.h"
+
+namespace {
+
+/// Gradient of the cross-entropy towards class 0, as an attack asks for it.
+double timed_pass(const tt3d::Classifier& model, const at::Tensor& images) {
+  const double start = tt3d::now_seconds();
+  const at::Tensor leaf = images.detach().requires_grad_(true);
+  const at::Tensor loss = -model.logits(leaf).log_softmax(1).select(1, 0).mean();
+  const auto gradient = torch::autograd::grad({loss}, {leaf});
+  return tt3d::now_seconds() - start;
+}
+
+int serve(const std::string& name, int64_t batch, int threads) {
+  at::set_num_threads(threads);
+  const auto model = tt3d::Classifier::load(name);
+  at::manual_seed(0);
+  const at::Tensor images = at::rand({batch, 3, model->card().height, model->card().width});
+  std::cout << "ready" << std::endl;
+  for (std::string line; std::getline(std::cin, line);) {
+    std::cout << timed_pass(*model, images) << std::endl;
+  }
+  return 0;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc != 4) {
+    std::cerr << "usage: model_bench MODEL BATCH THREADS\n";
+    return 2;
+  }
+  try {
+    return serve(argv[1], std::atoll(argv[2]), std::atoi(argv[3]));
+  } catch (const tt3d::Error& error) {
+    std::cerr << error.what() << "\n";
+    return error.exit_code();
+  }
+}

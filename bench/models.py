@@ -1,0 +1,186 @@
+"""Classifiers: tt3d against PyTorch's eager mode, forward and backward, in alternating runs.
+
+    scripts/bench models [--batch 8] [--threads N] [--pairs 15] [NAME...]
+
+Same machine, threads, batch and network (random weights). A pair is one run of each, one right
+after the other; the ratio of a pair cancels what the rest of the machine is doing at the time.
+Rewrites the section between the marks in docs/benchmarks.md.
+"""
+
+import argparse
+import json
+import os
+import platform
+import re
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "python"))
+
+from tt3d_tools.package import write_package  # noqa: E402
+from tt3d_tools.zoo import build_named  # noqa: E402
+
+NAMES = (
+    "efficientnet_lite0", "mobilenet_v2", "efficientnet_b0", "resnet50", "densenet121",
+    "inception_v3", "vgg16", "vit_b_16", "swin_t", "convnext_tiny",
+)  # fmt: skip
+PACKAGES = ROOT / "build/bench/models"
+BUILD = ROOT / "build/release"
+PAGE = ROOT / "docs/benchmarks.md"
+WARM_UP = 2
+LOADS = 7
+
+
+@dataclass
+class Row:
+    """Median seconds of a run, and the median over the pairs of C++ over eager."""
+
+    name: str
+    eager: float
+    cpp: float
+    ratio: float
+
+
+class Worker:
+    """The C++ side: a process that runs once for every line it is sent."""
+
+    def __init__(self, archive: Path, batch: int, threads: int) -> None:
+        """Start the process and wait until it has loaded the package."""
+        command = [BUILD / "bench/model_bench", archive, str(batch), str(threads)]
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+        )
+        self._line()
+
+    def run(self) -> float:
+        """Return the seconds of one forward and backward pass."""
+        self.process.stdin.write("run\n")
+        return float(self._line())
+
+    def close(self) -> None:
+        """End the process."""
+        self.process.stdin.close()
+        self.process.wait()
+
+    def _line(self) -> str:
+        line = self.process.stdout.readline()
+        if not line:
+            raise RuntimeError("model_bench ended early")
+        return line
+
+
+class Eager:
+    """PyTorch's side: the network as torchvision and timm build it."""
+
+    def __init__(self, network: torch.nn.Module, size: tuple[int, int], batch: int) -> None:
+        """Take a network and make it a batch of noise."""
+        self.network = network.eval().requires_grad_(False)
+        self.images = torch.rand(batch, 3, *size)
+
+    def run(self) -> float:
+        """Return the seconds of one forward and backward pass."""
+        start = time.perf_counter()
+        leaf = self.images.detach().requires_grad_()
+        loss = -self.network((leaf - 0.45) / 0.225).log_softmax(1)[:, 0].mean()
+        torch.autograd.grad(loss, leaf)
+        return time.perf_counter() - start
+
+
+def package(name: str) -> tuple[Path, torch.nn.Module, tuple[int, int]]:
+    """Return archive, network and input size of a network with random weights."""
+    torch.manual_seed(0)
+    spec = build_named(name, "none")
+    archive = PACKAGES / f"{spec.name}.pt2"
+    if not archive.with_suffix(".json").is_file():
+        write_package(spec, PACKAGES)
+    return archive, spec.model, spec.input_size
+
+
+def compare(name: str, options: argparse.Namespace) -> Row:
+    """Run one network on both sides in turns."""
+    archive, network, size = package(name)
+    eager = Eager(network, size, options.batch)
+    worker = Worker(archive, options.batch, options.threads)
+    for _ in range(WARM_UP):
+        eager.run(), worker.run()
+    pairs = [(eager.run(), worker.run()) for _ in range(options.pairs)]
+    worker.close()
+    ratio = statistics.median(cpp / other for other, cpp in pairs)
+    return Row(name, statistics.median(p[0] for p in pairs),
+               statistics.median(p[1] for p in pairs), ratio)  # fmt: skip
+
+
+def loading() -> dict[str, float]:
+    """Return seconds (best of several) and memory of loading ResNet-101."""
+    archive, _, _ = package("resnet101")
+    result = {}
+    for label, extra in (("probe", []), ("read", ["--no-probe"])):
+        command = [BUILD / "tt3d", "model", "check", archive, "--json", *extra]
+        runs = [json.loads(subprocess.check_output(command)) for _ in range(LOADS)]
+        result[f"{label}_seconds"] = min(run["load_seconds"] for run in runs)
+        growth = statistics.median(run["load_peak_bytes"] for run in runs)
+        result[f"{label}_memory"] = growth / runs[0]["archive_bytes"]
+    return result
+
+
+def section(rows: list[Row], load: dict[str, float], options: argparse.Namespace) -> str:
+    """Return the text between the marks."""
+    cores = os.cpu_count()
+    lines = [
+        f"Batch {options.batch}, {options.threads} threads, {options.pairs} pairs, torch "
+        f"{torch.__version__.split('+')[0]}, {platform.machine()} with {cores} cores, load average "
+        f"{os.getloadavg()[0]:.1f} at the end:",
+        "",
+        "| network | PyTorch eager, ms an image | tt3d, ms an image | tt3d / eager |",
+        "|---|---|---|---|",
+    ]
+    for row in rows:
+        each = 1000 / options.batch
+        lines.append(f"| {row.name} | {row.eager * each:.1f} | {row.cpp * each:.1f} "
+                     f"| {row.ratio:.2f} |")  # fmt: skip
+    lines += [
+        "",
+        f"Loading ResNet-101 (180 MB), best of {LOADS}: {load['read_seconds']:.2f} s and "
+        f"{load['read_memory']:.2f} times the archive's size at its peak to read, check SHA-256 "
+        f"and CRC, and fold; with the probe, which runs the network forward and backward on two "
+        f"images, {load['probe_seconds']:.2f} s and {load['probe_memory']:.2f} times.",
+    ]
+    return "\n".join(lines)
+
+
+def rewrite_page(text: str) -> None:
+    """Replace what is between the marks in the page."""
+    page = PAGE.read_text(encoding="utf-8")
+    begin, end = "<!-- bench models -->\n", "\n<!-- end of bench models -->"
+    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
+    PAGE.write_text(pattern.sub(lambda _: begin + text + end, page), encoding="utf-8")
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", default=NAMES)
+    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    parser.add_argument("--pairs", type=int, default=15)
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    rows = []
+    for name in options.names:
+        rows.append(compare(name, options))
+        print(f"{name}: tt3d / eager = {rows[-1].ratio:.2f}", flush=True)
+    text = section(rows, loading(), options)
+    print(text)
+    if tuple(options.names) == NAMES:
+        rewrite_page(text)
+
+
+if __name__ == "__main__":
+    main()

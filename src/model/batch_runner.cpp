@@ -1,0 +1,153 @@
+#include "batch_runner.h"
+
+#include <ATen/ATen.h>
+#include <fmt/format.h>
+#include <torch/csrc/autograd/autograd.h>
+#include <torch/csrc/autograd/custom_function.h>
+
+#include <limits>
+#include <new>
+
+#include "malformed.h"
+#include "precision.h"
+#include "program.h"
+
+namespace tt3d::model {
+namespace {
+
+using torch::autograd::AutogradContext;
+using torch::autograd::variable_list;
+
+/// Keeps a runner alive until backward is done.
+struct RunnerHolder : torch::CustomClassHolder {
+  explicit RunnerHolder(std::shared_ptr<BatchRunner> held) : runner(std::move(held)) {}
+  std::shared_ptr<BatchRunner> runner;
+};
+
+/// The logits of a batch whose intermediate results do not fit together: nothing is kept but the
+/// images, and backward runs forward again, a part at a time.
+struct LogitsInParts : torch::autograd::Function<LogitsInParts> {
+  static at::Tensor forward(AutogradContext* context, const at::Tensor& images,
+                            std::shared_ptr<BatchRunner> runner) {
+    context->save_for_backward({images});
+    context->saved_data["runner"] =
+        c10::IValue::make_capsule(c10::make_intrusive<RunnerHolder>(runner));
+    return runner->logits(images);
+  }
+  static variable_list backward(AutogradContext* context, const variable_list& gradients) {
+    const auto holder = context->saved_data["runner"].toCapsule();
+    BatchRunner& runner = *static_cast<RunnerHolder&>(*holder).runner;
+    return {runner.gradient(context->get_saved_variables()[0], gradients[0]), at::Tensor()};
+  }
+};
+
+}  // namespace
+
+BatchRunner::BatchRunner(Graph graph, int64_t intermediate_bytes, Precision precision)
+    : graph_(std::move(graph)),
+      limit_(intermediate_bytes),
+      precision_(precision),
+      fitting_(graph_.max_batch),
+      fitting_with_gradient_(std::numeric_limits<int64_t>::max()) {}
+
+at::Tensor BatchRunner::logits(const at::Tensor& images) {
+  const int64_t total = images.size(0);
+  if (at::GradMode::is_enabled() && images.requires_grad()) {
+    if (total <= fitting_with_gradient_) {
+      try {
+        return whole(images);
+      } catch (const MemoryLimit&) {
+        fitting_with_gradient_ = std::max<int64_t>(total / 2, 1);
+      }
+    }
+    return LogitsInParts::apply(images, shared_from_this());
+  }
+  return in_parts(total, fitting_, [&](int64_t start, int64_t end) {
+    MemoryMeter meter(memory_budget(limit_), false);
+    return padded(images.slice(0, start, end), meter);
+  });
+}
+
+/// With gradients: everything that the batch needs for backward is kept.
+at::Tensor BatchRunner::whole(const at::Tensor& images) {
+  MemoryMeter meter(memory_budget(limit_), true);
+  const int64_t total = images.size(0);
+  if (total <= graph_.max_batch) return padded(images, meter);
+  std::vector<at::Tensor> parts;
+  for (int64_t start = 0; start < total; start += graph_.max_batch) {
+    const int64_t end = std::min(total, start + graph_.max_batch);
+    parts.push_back(padded(images.slice(0, start, end), meter));
+  }
+  return at::cat(parts, 0);
+}
+
+at::Tensor BatchRunner::gradient(const at::Tensor& images, const at::Tensor& gradient) {
+  const at::AutoGradMode with_gradients(true);
+  int64_t fitting = std::min(fitting_with_gradient_, graph_.max_batch);
+  const at::Tensor result =
+      in_parts(images.size(0), fitting, [&](int64_t start, int64_t end) -> at::Tensor {
+        MemoryMeter meter(memory_budget(limit_), true);
+        const at::Tensor part = images.slice(0, start, end).detach().requires_grad_(true);
+        const at::Tensor logits = padded(part, meter);
+        return torch::autograd::grad({logits}, {part}, {gradient.slice(0, start, end)})[0];
+      });
+  fitting_with_gradient_ = std::min(fitting_with_gradient_, fitting);
+  return result;
+}
+
+/// Runs `part` over [0, total) in ranges of at most `fitting`, which is halved while a range does
+/// not fit in memory.
+at::Tensor BatchRunner::in_parts(int64_t total, int64_t& fitting, const Part& part) const {
+  std::vector<at::Tensor> parts;
+  for (int64_t start = 0; start < total;) {
+    const int64_t count = std::min(fitting, total - start);
+    std::string problem;
+    try {
+      parts.push_back(part(start, start + count));
+      start += count;
+      continue;
+    } catch (const MemoryLimit& error) {
+      problem = error.what();
+    } catch (const c10::Error& error) {
+      if (!is_out_of_memory(error)) throw;
+      problem = "out of memory";
+    } catch (const std::bad_alloc&) {
+      problem = "out of memory";
+    }
+    if (count == 1) throw ResourceError(problem + " with a single image");
+    fitting = count / 2;
+  }
+  return parts.size() == 1 ? parts[0] : at::cat(parts, 0);
+}
+
+/// Batches below the exported range are filled up with zeros.
+at::Tensor BatchRunner::padded(const at::Tensor& images, MemoryMeter& meter) {
+  const int64_t count = images.size(0), missing = graph_.min_batch - count;
+  if (missing <= 0) return run(images, meter);
+  const at::Tensor filler = at::zeros({missing, 3, graph_.height, graph_.width}, images.options());
+  return run(at::cat({images, filler}, 0), meter).slice(0, 0, count);
+}
+
+at::Tensor BatchRunner::run(const at::Tensor& images, MemoryMeter& meter) {
+  const AllocationLimit allocations(memory_budget(limit_));
+  const PrecisionScope precision(precision_, images.device());
+  const at::Tensor logits = run_graph(graph_on(images.device()), images, meter);
+  if (logits.dim() != 2 || logits.size(0) != images.size(0) || logits.size(1) != graph_.classes ||
+      !logits.is_floating_point()) {
+    throw Malformed("the graph did not give logits [N,classes]");
+  }
+  return logits.to(at::kFloat);
+}
+
+/// The graph with its weights on `device`; the last device other than the CPU is kept.
+const Graph& BatchRunner::graph_on(at::Device device) {
+  if (device.is_cpu()) return graph_;
+  if (!moved_ || moved_device_ != device) {
+    moved_ = graph_;
+    moved_device_ = device;
+    for (auto& [slot, tensor] : moved_->constants) tensor = tensor.to(device);
+  }
+  return *moved_;
+}
+
+}  // namespace tt3d::model

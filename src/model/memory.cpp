@@ -1,0 +1,107 @@
+#include "memory.h"
+
+#include <c10/core/CPUAllocator.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <fstream>
+#include <limits>
+#include <string>
+
+namespace tt3d::model {
+namespace {
+
+constexpr int64_t kUnlimited = std::numeric_limits<int64_t>::max();
+thread_local int64_t largest_allocation = kUnlimited;
+
+/// A number at the start of a file of the kernel, or `otherwise` ("max", no such file).
+int64_t number_in(const char* path, int64_t otherwise) {
+  int64_t value = 0;
+  return std::ifstream(path) >> value ? value : otherwise;
+}
+
+int64_t machine_memory() {
+  std::ifstream lines("/proc/meminfo");
+  std::string key, unit;
+  for (int64_t kilobytes = 0; lines >> key >> kilobytes; std::getline(lines, unit)) {
+    if (key == "MemAvailable:") return kilobytes * 1024;
+  }
+  return kUnlimited;
+}
+
+int64_t control_group_memory() {
+  const int64_t limit = number_in("/sys/fs/cgroup/memory.max", kUnlimited);
+  if (limit == kUnlimited) return kUnlimited;
+  return std::max<int64_t>(limit - number_in("/sys/fs/cgroup/memory.current", 0), 0);
+}
+
+/// Torch's own allocator behind the limit of AllocationLimit.
+class LimitedAllocator final : public c10::Allocator {
+ public:
+  explicit LimitedAllocator(c10::Allocator* inner) : inner_(inner) {}
+  c10::DataPtr allocate(size_t bytes) override {
+    if (bytes > static_cast<size_t>(largest_allocation)) {
+      throw MemoryLimit(fmt::format("an intermediate result of {} bytes passes the limit of {}",
+                                    bytes, largest_allocation));
+    }
+    return inner_->allocate(bytes);
+  }
+  c10::DeleterFnPtr raw_deleter() const override { return inner_->raw_deleter(); }
+  void copy_data(void* target, const void* source, std::size_t bytes) const override {
+    inner_->copy_data(target, source, bytes);
+  }
+
+ private:
+  c10::Allocator* inner_;
+};
+
+/// Puts the limit in front of torch's allocator, once a process.
+void install_limit() {
+  static LimitedAllocator* const limited = [] {
+    // Never freed: tensors of static lifetime may use it until the very end.
+    auto* allocator = new LimitedAllocator(c10::GetCPUAllocator());
+    c10::SetCPUAllocator(allocator, std::numeric_limits<uint8_t>::max());
+    return allocator;
+  }();
+  (void)limited;
+}
+
+}  // namespace
+
+int64_t memory_budget(int64_t limit) {
+  // Backward needs room of its own beside what the forward pass keeps.
+  const int64_t left = std::min(machine_memory(), control_group_memory()) / 4 * 3;
+  return std::min(limit, left);
+}
+
+void MemoryMeter::add(const at::Tensor& tensor) {
+  held_ += static_cast<int64_t>(tensor.storage().nbytes());
+  if (held_ <= limit_) return;
+  throw MemoryLimit(fmt::format("intermediate results pass the limit of {} bytes", limit_));
+}
+
+void MemoryMeter::release(const at::Tensor& tensor) {
+  if (keeps_all_ || tensor.storage().use_count() != 1) return;
+  held_ -= static_cast<int64_t>(tensor.storage().nbytes());
+}
+
+void MemoryMeter::check_size(const at::Tensor& tensor) const {
+  if (static_cast<int64_t>(tensor.nbytes()) <= limit_) return;
+  throw MemoryLimit(fmt::format("an intermediate result of {} bytes passes the limit of {}",
+                                tensor.nbytes(), limit_));
+}
+
+AllocationLimit::AllocationLimit(int64_t bytes) : outer_(largest_allocation) {
+  install_limit();
+  largest_allocation = std::min(bytes, outer_);
+}
+
+AllocationLimit::~AllocationLimit() { largest_allocation = outer_; }
+
+bool is_out_of_memory(const c10::Error& error) {
+  if (dynamic_cast<const c10::OutOfMemoryError*>(&error) != nullptr) return true;
+  const std::string text = error.what_without_backtrace();
+  return text.find("DefaultCPUAllocator") != std::string::npos;
+}
+
+}  // namespace tt3d::model

@@ -1,0 +1,102 @@
+"""Makes the seeds of the fuzz targets beside it, from the toy packages of tests/model/fixtures.
+
+    python tests/fuzz/make_corpus.py
+
+Zip: small archives, stored and deflated. Graph: graph and tables of weights, as graph_fuzz.cpp
+reads them. Card: the toy cards with short probes. The results are committed.
+"""
+
+import io
+import json
+import zipfile
+from pathlib import Path
+
+HERE = Path(__file__).parent
+FIXTURES = HERE.parent / "model" / "fixtures"
+UNREAD = (
+    "metadata", "module_call_graph", "treespec_namedtuple_fields", "opset_version", "verifiers",
+    "torch_version", "sym_int_values", "sym_bool_values", "script_obj_values", "requires_grad",
+    "device", "hint", "is_hop_single_tensor_return", "guards_code",
+)  # fmt: skip
+TOYS = ("toy_cnn", "toy_norm", "toy_vit")
+
+
+def compact(value: object) -> bytes:
+    """Return JSON without spaces."""
+    return json.dumps(value, separators=(",", ":")).encode()
+
+
+def without(value: object, dropped: tuple[str, ...]) -> object:
+    """Drop keys that the reader does not look at, so that mutations hit what it does."""
+    if isinstance(value, dict):
+        return {k: without(v, dropped) for k, v in value.items() if k not in dropped}
+    return [without(v, dropped) for v in value] if isinstance(value, list) else value
+
+
+def graph_seed(name: str) -> bytes:
+    """Return graph, weights and constants of a toy package; weight files are renumbered."""
+    texts = []
+    with zipfile.ZipFile(FIXTURES / f"{name}.pt2") as archive:
+        for entry in ("models/model.json", "data/weights/model_weights_config.json",
+                      "data/constants/model_constants_config.json"):  # fmt: skip
+            texts.append(without(json.loads(archive.read(f"{name}/{entry}")), UNREAD))
+    for i, weight in enumerate(texts[1]["config"].values()):
+        weight["path_name"] = f"weight_{i % 10}"
+    for constant in texts[2]["config"].values():
+        constant["path_name"] = "missing"
+    return b"\n=\n".join(compact(text) for text in texts)
+
+
+def zip_seed(compression: int, entries: dict[str, bytes]) -> bytes:
+    """Return a zip archive with a fixed date."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", compression) as archive:
+        for name, content in entries.items():
+            archive.writestr(zipfile.ZipInfo(name), content, compression)
+    return buffer.getvalue()
+
+
+def zip_seeds() -> dict[str, bytes]:
+    """Return small archives of the kinds that the reader tells apart."""
+    good = {
+        "m/archive_format": b"pt2", "m/archive_version": b"0", "m/byteorder": b"little",
+        "m/models/model.json": b'{"graph_module":{"metadata":[1],"graph":[1.5,"x",null]}}',
+        "m/data/weights/weight_0": bytes(range(64)), "m/large": b"abcd" * 64,
+    }  # fmt: skip
+    return {
+        "stored": zip_seed(zipfile.ZIP_STORED, good),
+        "deflated": zip_seed(zipfile.ZIP_DEFLATED, good),
+        "outside": zip_seed(zipfile.ZIP_STORED, {**good, "m/../x": b"x"}),
+        "pickle": zip_seed(zipfile.ZIP_STORED, {"m/data.pkl": b"x", "m/version": b"3"}),
+        "bomb": zip_seed(zipfile.ZIP_DEFLATED, {**good, "m/large": bytes(20000)}),
+    }
+
+
+def card_seed(name: str) -> bytes:
+    """Return a toy card whose probe is cut to one case and few numbers."""
+    card = json.loads((FIXTURES / f"{name}.json").read_text())
+    case = card["probe"]["cases"][0]
+    case["gradient"] = case["gradient"][:4]
+    card["probe"]["cases"] = [case]
+    return compact(card)
+
+
+def write(folder: str, seeds: dict[str, bytes]) -> None:
+    """Write seeds into a folder of the corpus."""
+    target = HERE / "corpus" / folder
+    target.mkdir(parents=True, exist_ok=True)
+    for name, content in seeds.items():
+        (target / name).write_bytes(content)
+        print(f"{target / name}: {len(content)} bytes")
+
+
+def main() -> None:
+    """Write every seed."""
+    write("zip", zip_seeds())
+    write("graph", {name: graph_seed(name) for name in TOYS})
+    imagenet = json.loads(card_seed("toy_cnn")) | {"labels": "imagenet-1k", "probe": None}
+    write("card", {name: card_seed(name) for name in TOYS} | {"imagenet": compact(imagenet)})
+
+
+if __name__ == "__main__":
+    main()
