@@ -350,12 +350,13 @@ RunConfig::RunConfig() {
     grid->finest = 1024;
     grid->log2_size = 17;
   }
-  field.steps = 350;
+  field.steps = 450;
   field.samples_per_step = int64_t{1} << 16;
   field.ray_steps = 512;
   mesh.resolution = 192;
   mesh.refine_steps = 200;
-  attack.steps = 400;
+  attack.steps = 450;
+  attack.objective = "logit";
   attack.image_size = 224;
   attack.psnr_floor = 21.5;
   capture.max_size = 400;
