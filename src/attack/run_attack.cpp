@@ -154,7 +154,6 @@ class Attacker {
                            options_.laplacian_weight * laplacian + options_.edge_weight * edge;
     const Tensor loss = objective + options_.beta * natural;
     grads = torch::autograd::grad({loss}, parameters);
-    hold_fine_levels(s.appearance, grads);
     return {s.step,
             loss.item<double>(),
             objective.item<double>(),
@@ -178,14 +177,6 @@ class Attacker {
   }
 
  private:
-  /// Takes the gradient from the grid levels that stay; Adam leaves what has none as it is.
-  void hold_fine_levels(const Appearance& appearance, std::vector<Tensor>& grads) const {
-    if (!method_.grid || options_.finest <= 0) return;
-    Tensor& grid = grads[method_.vertices ? 1 : 0];
-    const int64_t free = appearance.shape.entries_up_to(options_.finest);
-    grid.narrow(0, free, grid.size(0) - free).zero_();
-  }
-
   /// Renders the step's views [N,4,H,W], and R_rgb: the squared distance to the clean colours at
   /// the same surface points, summed over colours and averaged over the pictures' pixels as a
   /// mean squared error (paper, section 3.4).

@@ -187,15 +187,6 @@ int64_t HashGridShape::entries() const {
   return levels_list.back().offset + levels_list.back().size;
 }
 
-int64_t HashGridShape::entries_up_to(double resolution) const {
-  int64_t count = 0;
-  for (const field::HashLevel& level : levels_of(*this)) {
-    if (level.scale > resolution) break;
-    count = level.offset + level.size;
-  }
-  return count;
-}
-
 Tensor hash_encode(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
   TORCH_CHECK(x.dim() == 2 && x.size(1) == 3, "x must be [P,3]");
   TORCH_CHECK(shape.features == 1 || shape.features == 2, "features must be 1 or 2");

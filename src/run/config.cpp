@@ -246,8 +246,6 @@ class Schema {
          "where views are drawn from");
     number("attack.appearance_rate", a.appearance_rate, 0, 1, "", "learning rate of grid and MLP");
     number("attack.vertex_rate", a.vertex_rate, 0, 1, "", "learning rate of vertex offsets");
-    number("attack.finest", a.finest, 0, 65536, "cells",
-           "grid levels finer than this stay as they are; 0: all are free");
     number("attack.final_rate", a.final_rate, 1e-4, 1, "", "share of the rates left at the end");
     integer("attack.checkpoint_every", a.checkpoint_every, 1, 1e7, "steps",
             "steps between checkpoints");

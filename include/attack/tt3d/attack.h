@@ -68,7 +68,6 @@ struct AttackOptions {
   std::string view_distribution = "dome";
   double appearance_rate = 1e-2;
   double vertex_rate = 1e-4;
-  double finest = 0;        ///< grid levels finer than this many cells a side stay; 0: all are free
   double final_rate = 0.5;  ///< share of the rates left at the end (exponential)
   EotOptions eot;
   int64_t checkpoint_every = 50;

@@ -26,8 +26,6 @@ struct HashGridShape {
   int64_t features = 2;    ///< numbers an entry, 1 or 2
   /// Entries of all levels together.
   [[nodiscard]] int64_t entries() const;
-  /// Entries of the levels up to `resolution` cells a side; these come first in the table.
-  [[nodiscard]] int64_t entries_up_to(double resolution) const;
 };
 
 /// Encodes points: x [P,3] in [-1,1]^3 (clamped), table [entries, features].
