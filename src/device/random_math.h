@@ -50,11 +50,4 @@ struct NoiseItem {
   }
 };
 
-void fill(const Cpu&, int64_t items, const UnitBlock& body);
-void fill(const Cpu&, int64_t items, const RangeBlock& body);
-void fill(const Cpu&, int64_t items, const NoiseItem& body);
-void fill(const Cuda& on, int64_t items, const UnitBlock& body);
-void fill(const Cuda& on, int64_t items, const RangeBlock& body);
-void fill(const Cuda& on, int64_t items, const NoiseItem& body);
-
 }  // namespace tt3d::device

@@ -6,14 +6,6 @@
 #include "tt3d/device.h"
 
 namespace tt3d {
-namespace device {
-
-void fill(const Cpu&, int64_t items, const UnitBlock& body) { for_each_index(items, body); }
-void fill(const Cpu&, int64_t items, const RangeBlock& body) { for_each_index(items, body); }
-void fill(const Cpu&, int64_t items, const NoiseItem& body) { for_each_index(items, body); }
-
-}  // namespace device
-
 namespace {
 
 at::Tensor empty_on(at::IntArrayRef shape, at::Device device) {
@@ -26,7 +18,7 @@ at::Tensor uniform_tensor(at::IntArrayRef shape, const RandomKey& key, at::Devic
   at::Tensor t = empty_on(shape, device);
   const int64_t n = t.numel();
   const device::UnitBlock body = {key, t.mutable_data_ptr<float>(), n};
-  on_device_of(t, [&](const auto& on) { device::fill(on, (n + 3) / 4, body); });
+  for_each_index_on(t, (n + 3) / 4, body);
   return t;
 }
 
@@ -35,7 +27,7 @@ at::Tensor uniform_tensor(at::IntArrayRef shape, double low, double high, const 
   at::Tensor t = empty_on(shape, device);
   const int64_t n = t.numel();
   const device::RangeBlock body = {key, t.mutable_data_ptr<float>(), n, low, high};
-  on_device_of(t, [&](const auto& on) { device::fill(on, (n + 3) / 4, body); });
+  for_each_index_on(t, (n + 3) / 4, body);
   return t;
 }
 
@@ -43,7 +35,7 @@ at::Tensor noise_tensor(at::IntArrayRef shape, const RandomKey& key, uint64_t fi
                         at::Device device) {
   at::Tensor t = empty_on(shape, device);
   const device::NoiseItem body = {key, t.mutable_data_ptr<float>(), first};
-  on_device_of(t, [&](const auto& on) { device::fill(on, t.numel(), body); });
+  for_each_index_on(t, t.numel(), body);
   return t;
 }
 

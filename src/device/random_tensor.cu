@@ -1,12 +1,10 @@
 #include "random_math.h"
 #include "tt3d/cuda.h"
 
-namespace tt3d::device {
+namespace tt3d {
 
-void fill(const Cuda& on, int64_t items, const UnitBlock& body) { for_each_index(on, items, body); }
-void fill(const Cuda& on, int64_t items, const RangeBlock& body) {
-  for_each_index(on, items, body);
-}
-void fill(const Cuda& on, int64_t items, const NoiseItem& body) { for_each_index(on, items, body); }
+template void for_each_index(const Cuda&, int64_t, const device::UnitBlock&);
+template void for_each_index(const Cuda&, int64_t, const device::RangeBlock&);
+template void for_each_index(const Cuda&, int64_t, const device::NoiseItem&);
 
-}  // namespace tt3d::device
+}  // namespace tt3d

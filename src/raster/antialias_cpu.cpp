@@ -20,20 +20,18 @@ void for_each_view(const Sizes& s, const Body& body) {
 }  // namespace
 
 template <typename T>
-void antialias(const Cpu&, const AntialiasPixel<T>& body) {
-  for_each_view(body.scene.s, body);
+void scatter(const Cpu&, const AntialiasPixel<T>& body) {
+  for_each_view(body.s, body);
 }
 
 template <typename T>
-void antialias_backward(const Cpu&, const AntialiasBackwardPixel<T>& body) {
-  for_each_view(body.scene.s, body);
+void scatter(const Cpu&, const AntialiasBackwardPixel<T>& body) {
+  for_each_view(body.s, body);
 }
 
-#define TT3D_INSTANTIATE(T)                                      \
-  template void antialias(const Cpu&, const AntialiasPixel<T>&); \
-  template void antialias_backward(const Cpu&, const AntialiasBackwardPixel<T>&);
-TT3D_INSTANTIATE(float)
-TT3D_INSTANTIATE(double)
-#undef TT3D_INSTANTIATE
+template void scatter(const Cpu&, const AntialiasPixel<float>&);
+template void scatter(const Cpu&, const AntialiasPixel<double>&);
+template void scatter(const Cpu&, const AntialiasBackwardPixel<float>&);
+template void scatter(const Cpu&, const AntialiasBackwardPixel<double>&);
 
 }  // namespace tt3d::raster

@@ -122,7 +122,6 @@ struct AntialiasScene {
   const T* clip;
   const int32_t* faces;
   const int32_t* opposites;
-  Sizes s;
 };
 
 /// Two neighbouring pixels that a silhouette edge separates.
@@ -135,9 +134,8 @@ struct CrossedPair {
 /// The pair of a pixel and its neighbour to the right or below; false when there is none or no
 /// silhouette lies between them.
 template <typename T>
-TT3D_HD bool crossed_pair(const AntialiasScene<T>& scene, const PixelPlace& at, bool horizontal,
-                          CrossedPair& pair) {
-  const Sizes& s = scene.s;
+TT3D_HD bool crossed_pair(const AntialiasScene<T>& scene, const Sizes& s, const PixelPlace& at,
+                          bool horizontal, CrossedPair& pair) {
   if (horizontal ? at.column + 1 >= s.width : at.row + 1 >= s.height) return false;
   pair.a = (at.view * s.height + at.row) * s.width + at.column;
   pair.b = horizontal ? pair.a + 1 : pair.a + s.width;
@@ -156,15 +154,16 @@ struct AntialiasPixel {
   AntialiasScene<T> scene;
   const T* color;
   T* out;
+  Sizes s;
   TT3D_HD void operator()(const PixelPlace& at) const {
     CrossedPair pair;
-    if (crossed_pair(scene, at, true, pair)) blend(pair);
-    if (crossed_pair(scene, at, false, pair)) blend(pair);
+    if (crossed_pair(scene, s, at, true, pair)) blend(pair);
+    if (crossed_pair(scene, s, at, false, pair)) blend(pair);
   }
-  TT3D_HD void operator()(int64_t i) const { (*this)(place_of(i, scene.s)); }
+  TT3D_HD void operator()(int64_t i) const { (*this)(place_of(i, s)); }
 
   TT3D_HD void blend(const CrossedPair& pair) const {
-    const int64_t channels = scene.s.channels;
+    const int64_t channels = s.channels;
     const Blend by = blend_of(pair.crossing);
     const int64_t into = (by.into_a ? pair.a : pair.b) * channels;
     const int64_t from = (by.into_a ? pair.b : pair.a) * channels;
@@ -181,15 +180,16 @@ struct AntialiasBackwardPixel {
   const T* grad_out;
   T* grad_color;
   T* grad_clip;  ///< may be null
+  Sizes s;
   TT3D_HD void operator()(const PixelPlace& at) const {
     CrossedPair pair;
-    if (crossed_pair(scene, at, true, pair)) spread(pair, at.view);
-    if (crossed_pair(scene, at, false, pair)) spread(pair, at.view);
+    if (crossed_pair(scene, s, at, true, pair)) spread(pair, at.view);
+    if (crossed_pair(scene, s, at, false, pair)) spread(pair, at.view);
   }
-  TT3D_HD void operator()(int64_t i) const { (*this)(place_of(i, scene.s)); }
+  TT3D_HD void operator()(int64_t i) const { (*this)(place_of(i, s)); }
 
   TT3D_HD void spread(const CrossedPair& pair, int64_t view) const {
-    const int64_t channels = scene.s.channels;
+    const int64_t channels = s.channels;
     const Blend by = blend_of(pair.crossing);
     const int64_t into = (by.into_a ? pair.a : pair.b) * channels;
     const int64_t from = (by.into_a ? pair.b : pair.a) * channels;
@@ -201,7 +201,7 @@ struct AntialiasBackwardPixel {
       grad_weight += static_cast<double>(g * (color[from + c] - color[into + c]));
     }
     if (!grad_clip) return;
-    const int64_t first = view * scene.s.vertices;
+    const int64_t first = view * s.vertices;
     double grad0[4] = {}, grad1[4] = {};
     crossing_backward(scene.clip + first * 4, pair.crossing, pair.ax, pair.ay, pair.bx, pair.by,
                       grad_weight * by.slope, grad0, grad1);

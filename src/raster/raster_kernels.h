@@ -6,9 +6,9 @@
 #include "interpolate_math.h"
 #include "texture_math.h"
 
-/// Executors of the raster bodies, one for the CPU and one for the GPU: plain pointers in, plain
+/// Loops over the raster bodies that need more than for_each_index: plain pointers in, plain
 /// pointers out. Gradients add to zeroed buffers. On the CPU every result has the same bytes with
-/// any number of threads; on the GPU sums come in any order.
+/// any number of threads.
 namespace tt3d::raster {
 
 template <typename T>
@@ -30,27 +30,21 @@ template <typename T>
 void draw_tiles(const Cuda& on, const T* clip, const int32_t* faces, const int64_t* begin,
                 const int32_t* list, T* rast, const Sizes& s);
 
-#define TT3D_DECLARE(EXECUTOR)                                                                 \
-  template <typename T>                                                                        \
-  void rasterize_backward(const EXECUTOR& on, const RasterizeBackwardPixel<T>& body);          \
-  template <typename T>                                                                        \
-  void interpolate(const EXECUTOR& on, const InterpolatePixel<T>& body);                       \
-  template <typename T>                                                                        \
-  void interpolate_backward(const EXECUTOR& on, const InterpolateBackwardRast<T>& body);       \
-  template <typename T>                                                                        \
-  void interpolate_backward(const EXECUTOR& on, const InterpolateBackwardAttributes<T>& body); \
-  template <typename T>                                                                        \
-  void attribute_derivatives(const EXECUTOR& on, const AttributeDerivativesPixel<T>& body);    \
-  template <typename T>                                                                        \
-  void antialias(const EXECUTOR& on, const AntialiasPixel<T>& body);                           \
-  template <typename T>                                                                        \
-  void antialias_backward(const EXECUTOR& on, const AntialiasBackwardPixel<T>& body);          \
-  template <typename T>                                                                        \
-  void texture(const EXECUTOR& on, const TexturePixel<T>& body);                               \
-  template <typename T>                                                                        \
-  void texture_backward(const EXECUTOR& on, const TextureBackwardPixel<T>& body);
-TT3D_DECLARE(Cpu)
-TT3D_DECLARE(Cuda)
-#undef TT3D_DECLARE
+// Bodies that add to sums which pixels share: in pixel order here, in any order on the GPU.
+template <typename T>
+void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body);
+template <typename T>
+void scatter(const Cpu&, const InterpolateBackwardAttributes<T>& body);
+template <typename T>
+void scatter(const Cpu&, const AntialiasPixel<T>& body);
+template <typename T>
+void scatter(const Cpu&, const AntialiasBackwardPixel<T>& body);
+template <typename T>
+void scatter(const Cpu&, const TextureBackwardPixel<T>& body);
+
+template <typename Body>
+void scatter(const Cuda& on, const Body& body) {
+  for_each_index(on, body.s.pixels(), body);
+}
 
 }  // namespace tt3d::raster

@@ -83,7 +83,7 @@ struct Rasterize : public Function<Rasterize> {
           clip.const_data_ptr<scalar_t>(),        faces.const_data_ptr<int32_t>(),
           rast.const_data_ptr<scalar_t>(),        grad.const_data_ptr<scalar_t>(),
           grad_clip.mutable_data_ptr<scalar_t>(), s};
-      on_device_of(clip, [&](const auto& on) { raster::rasterize_backward(on, body); });
+      on_device_of(clip, [&](const auto& on) { raster::scatter(on, body); });
     });
     return {grad_clip, Tensor(), Tensor(), Tensor()};
   }
@@ -102,7 +102,7 @@ struct Interpolate : public Function<Interpolate> {
       const raster::InterpolatePixel<scalar_t> body = {
           attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
           faces.const_data_ptr<int32_t>(), out.mutable_data_ptr<scalar_t>(), s};
-      on_device_of(out, [&](const auto& on) { raster::interpolate(on, body); });
+      for_each_index_on(out, s.pixels(), body);
     });
     ctx->save_for_backward({attributes, rast, faces});
     return out;
@@ -120,18 +120,16 @@ struct Interpolate : public Function<Interpolate> {
       const auto* points = attributes.const_data_ptr<scalar_t>();
       const auto* shown = rast.const_data_ptr<scalar_t>();
       const auto* g = grad.const_data_ptr<scalar_t>();
-      on_device_of(grad, [&](const auto& on) {
-        if (grad_rast.defined()) {
-          raster::interpolate_backward(
-              on, raster::InterpolateBackwardRast<scalar_t>{
-                      points, shown, indices, g, grad_rast.mutable_data_ptr<scalar_t>(), s});
-        }
-        if (grad_attributes.defined()) {
-          raster::interpolate_backward(
-              on, raster::InterpolateBackwardAttributes<scalar_t>{
-                      shown, indices, g, grad_attributes.mutable_data_ptr<scalar_t>(), s});
-        }
-      });
+      if (grad_rast.defined()) {
+        const raster::InterpolateBackwardRast<scalar_t> body = {
+            points, shown, indices, g, grad_rast.mutable_data_ptr<scalar_t>(), s};
+        for_each_index_on(grad, s.pixels(), body);
+      }
+      if (grad_attributes.defined()) {
+        const raster::InterpolateBackwardAttributes<scalar_t> body = {
+            shown, indices, g, grad_attributes.mutable_data_ptr<scalar_t>(), s};
+        on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
+      }
     });
     return {grad_attributes, grad_rast, Tensor()};
   }
@@ -139,9 +137,9 @@ struct Interpolate : public Function<Interpolate> {
 
 template <typename T>
 raster::AntialiasScene<T> scene_of(const Tensor& rast, const Tensor& clip, const Tensor& faces,
-                                   const Tensor& opposites, const raster::Sizes& s) {
+                                   const Tensor& opposites) {
   return {rast.const_data_ptr<T>(), clip.const_data_ptr<T>(), faces.const_data_ptr<int32_t>(),
-          opposites.const_data_ptr<int32_t>(), s};
+          opposites.const_data_ptr<int32_t>()};
 }
 
 struct Antialias : public Function<Antialias> {
@@ -153,9 +151,9 @@ struct Antialias : public Function<Antialias> {
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
     TT3D_DISPATCH(out, "antialias", [&] {
       const raster::AntialiasPixel<scalar_t> body = {
-          scene_of<scalar_t>(rast, clip, faces, opposites, s), color.const_data_ptr<scalar_t>(),
-          out.mutable_data_ptr<scalar_t>()};
-      on_device_of(out, [&](const auto& on) { raster::antialias(on, body); });
+          scene_of<scalar_t>(rast, clip, faces, opposites), color.const_data_ptr<scalar_t>(),
+          out.mutable_data_ptr<scalar_t>(), s};
+      on_device_of(out, [&](const auto& on) { raster::scatter(on, body); });
     });
     ctx->save_for_backward({color, rast, clip, faces, opposites});
     return out;
@@ -170,10 +168,13 @@ struct Antialias : public Function<Antialias> {
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
     TT3D_DISPATCH(grad, "antialias_backward", [&] {
       const raster::AntialiasBackwardPixel<scalar_t> body = {
-          scene_of<scalar_t>(rast, clip, faces, saved[4], s), color.const_data_ptr<scalar_t>(),
-          grad.const_data_ptr<scalar_t>(), grad_color.mutable_data_ptr<scalar_t>(),
-          grad_clip.defined() ? grad_clip.mutable_data_ptr<scalar_t>() : nullptr};
-      on_device_of(grad, [&](const auto& on) { raster::antialias_backward(on, body); });
+          scene_of<scalar_t>(rast, clip, faces, saved[4]),
+          color.const_data_ptr<scalar_t>(),
+          grad.const_data_ptr<scalar_t>(),
+          grad_color.mutable_data_ptr<scalar_t>(),
+          grad_clip.defined() ? grad_clip.mutable_data_ptr<scalar_t>() : nullptr,
+          s};
+      on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
     return {grad_color, Tensor(), grad_clip, Tensor(), Tensor()};
   }
@@ -230,7 +231,7 @@ struct Texture : public Function<Texture> {
           chain_of<scalar_t>(chain, {}),         uv.const_data_ptr<scalar_t>(),
           derivatives_of<scalar_t>(derivatives), rast.const_data_ptr<scalar_t>(),
           out.mutable_data_ptr<scalar_t>(),      s};
-      on_device_of(out, [&](const auto& on) { raster::texture(on, body); });
+      for_each_index_on(out, s.pixels(), body);
     });
     variable_list saved = {uv, rast, derivatives};
     saved.insert(saved.end(), chain.begin(), chain.end());
@@ -256,7 +257,7 @@ struct Texture : public Function<Texture> {
                                                            grad.const_data_ptr<scalar_t>(),
                                                            grad_uv.mutable_data_ptr<scalar_t>(),
                                                            s};
-      on_device_of(grad, [&](const auto& on) { raster::texture_backward(on, body); });
+      on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
     if (!grads.empty()) fold_mipmap_gradients(grads);
     return {grads.empty() ? Tensor() : grads[0], grad_uv, Tensor(), Tensor()};
@@ -298,7 +299,7 @@ Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
         attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
         clip.const_data_ptr<scalar_t>(),       faces.const_data_ptr<int32_t>(),
         out.mutable_data_ptr<scalar_t>(),      s};
-    on_device_of(out, [&](const auto& on) { raster::attribute_derivatives(on, body); });
+    for_each_index_on(out, s.pixels(), body);
   });
   return out;
 }

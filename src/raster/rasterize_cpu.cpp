@@ -116,7 +116,7 @@ void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const S
 }
 
 template <typename T>
-void rasterize_backward(const Cpu&, const RasterizeBackwardPixel<T>& body) {
+void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body) {
   const int64_t pixels = body.s.height * body.s.width;
   at::parallel_for(0, body.s.views, 1, [&](int64_t first, int64_t last) {
     for (int64_t i = first * pixels; i < last * pixels; ++i) body(i);
@@ -125,7 +125,7 @@ void rasterize_backward(const Cpu&, const RasterizeBackwardPixel<T>& body) {
 
 template void rasterize(const Cpu&, const float*, const int32_t*, float*, const Sizes&);
 template void rasterize(const Cpu&, const double*, const int32_t*, double*, const Sizes&);
-template void rasterize_backward(const Cpu&, const RasterizeBackwardPixel<float>&);
-template void rasterize_backward(const Cpu&, const RasterizeBackwardPixel<double>&);
+template void scatter(const Cpu&, const RasterizeBackwardPixel<float>&);
+template void scatter(const Cpu&, const RasterizeBackwardPixel<double>&);
 
 }  // namespace tt3d::raster

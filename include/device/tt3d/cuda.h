@@ -35,8 +35,6 @@ __global__ void __launch_bounds__(kBlock) index_kernel(int64_t n, Body body) {
 
 }  // namespace cuda_detail
 
-/// Calls `body(i)` for every i in [0, n), a thread an item. `body` is a struct with a TT3D_HD
-/// call operator and plain pointers, the one the CPU's loop calls. Returns before it is done.
 template <typename Body>
 void for_each_index(const Cuda& on, int64_t n, const Body& body) {
   if (n <= 0) return;

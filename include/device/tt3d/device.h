@@ -34,6 +34,11 @@ void for_each_index(int64_t n, const Body& body) {
   });
 }
 
+template <typename Body>
+void for_each_index(const Cpu&, int64_t n, const Body& body) {
+  for_each_index(n, body);
+}
+
 // ---- Choice of the device -----------------------------------------------------------------
 
 /// The device that "auto", "cpu" or "cuda" stands for: auto takes the GPU where there is one.
@@ -61,8 +66,15 @@ void on_device_of(const at::Tensor& tensor, const Body& body) {
 #endif
 }
 
-/// `tensor` with the running sum of its elements in its place, and the last one: counts [n + 1],
-/// the first 0, become the begin of each item's list. int64, on any device.
+/// Calls `body(i)` for every i in [0, n) on the tensor's device; for independent items, and for
+/// sums where the order may be any (accumulate).
+template <typename Body>
+void for_each_index_on(const at::Tensor& tensor, int64_t n, const Body& body) {
+  on_device_of(tensor, [&](const auto& on) { for_each_index(on, n, body); });
+}
+
+/// Turns counts [n + 1] int64, element 0 being 0, into the begins of the items' lists; returns the
+/// length of them all.
 int64_t counts_to_begins(at::Tensor& counts);
 
 }  // namespace tt3d

@@ -22,12 +22,18 @@
 
 namespace tt3d {
 
-/// Executors: which processor runs a loop, and what it needs for that. A kernel is a pair of
-/// functions overloaded on them; `on_device_of` (tt3d/device.h) picks one.
+/// Executors: which processor runs a loop, and what it needs for that. `on_device_of`
+/// (tt3d/device.h) picks one; loops are functions overloaded on them.
 struct Cpu {};
 struct Cuda {
   void* stream = nullptr;  ///< cudaStream_t, without its header
 };
+
+/// Calls `body(i)` for every i in [0, n) on the GPU, a thread an item, and returns before it is
+/// done. `body` is a struct with a TT3D_HD call operator and plain pointers. Defined in tt3d/cuda.h
+/// and instantiated, a line a body, in the .cu file of its room.
+template <typename Body>
+void for_each_index(const Cuda& on, int64_t n, const Body& body);
 
 /// A pointer with a row length: element (i, j) of a dense row-major matrix. Knows no tensor
 /// library, so kernel bodies stay free of it.
