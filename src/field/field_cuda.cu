@@ -8,13 +8,14 @@
 // The field's bodies that the GPU runs an item a thread.
 namespace tt3d {
 
-#define TT3D_INSTANTIATE(T)                                                                \
-  template void for_each_index(const Cuda&, int64_t, const field::HashEncodeItem<T, 1>&);  \
-  template void for_each_index(const Cuda&, int64_t, const field::HashEncodeItem<T, 2>&);  \
-  template void for_each_index(const Cuda&, int64_t, const field::HashScatterItem<T, 1>&); \
-  template void for_each_index(const Cuda&, int64_t, const field::HashScatterItem<T, 2>&); \
-  template void for_each_index(const Cuda&, int64_t, const field::HashPointGradient<T>&);  \
-  template void for_each_index(const Cuda&, int64_t, const field::CompositeRay<T>&);       \
+#define TT3D_INSTANTIATE(T)                                                                  \
+  template void for_each_index(const Cuda&, int64_t, const field::HashEncodeItem<T, 1>&);    \
+  template void for_each_index(const Cuda&, int64_t, const field::HashEncodeItem<T, 2>&);    \
+  template void for_each_index(const Cuda&, int64_t, const field::HashScatterItem<T, 1>&);   \
+  template void for_each_index(const Cuda&, int64_t, const field::HashScatterItem<T, 2>&);   \
+  template void for_each_index(const Cuda&, int64_t, const field::HashPointGradient<T, 1>&); \
+  template void for_each_index(const Cuda&, int64_t, const field::HashPointGradient<T, 2>&); \
+  template void for_each_index(const Cuda&, int64_t, const field::CompositeRay<T>&);         \
   template void for_each_index(const Cuda&, int64_t, const field::CompositeBackwardRay<T>&);
 TT3D_INSTANTIATE(float)
 TT3D_INSTANTIATE(double)
