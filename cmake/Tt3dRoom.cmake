@@ -4,9 +4,18 @@
 # -Wrestrict: g++ 12 reports std::string concatenation wrongly (GCC bug 105651).
 set(TT3D_WARNINGS -Wall -Wextra -Wshadow -Wconversion -Wno-sign-conversion -Wno-restrict -Werror)
 
-# tt3d_room(NAME [TORCH] SOURCES a.cpp ... [LINK rooms...] [LIBS private libraries...])
+# The CUDA side keeps to the CPU's bits: no contraction of a * b + c, which the CPU does not do
+# either (coverage decisions must agree). Line tables for profilers; warnings are errors.
+set(TT3D_CUDA_FLAGS -fmad=false -lineinfo --expt-relaxed-constexpr
+    "SHELL:-Werror all-warnings" -Xcompiler=-Wall,-Wextra,-Werror)
+
+# tt3d_room(NAME [TORCH] SOURCES a.cpp ... [CUDA a.cu ...] [LINK rooms...] [LIBS libraries...])
+# CUDA: sources of a build with TT3D_CUDA.
 function(tt3d_room name)
-  cmake_parse_arguments(ROOM "TORCH" "" "SOURCES;LINK;LIBS" ${ARGN})
+  cmake_parse_arguments(ROOM "TORCH" "" "SOURCES;CUDA;LINK;LIBS" ${ARGN})
+  if(TT3D_CUDA)
+    list(APPEND ROOM_SOURCES ${ROOM_CUDA})
+  endif()
   add_library(tt3d_${name} STATIC ${ROOM_SOURCES})
   target_include_directories(tt3d_${name} PUBLIC "${CMAKE_SOURCE_DIR}/include/${name}"
                                           PRIVATE "${CMAKE_CURRENT_SOURCE_DIR}")
@@ -14,7 +23,8 @@ function(tt3d_room name)
     target_link_libraries(tt3d_${name} PUBLIC tt3d_${_room})
   endforeach()
   target_link_libraries(tt3d_${name} PRIVATE ${ROOM_LIBS})
-  target_compile_options(tt3d_${name} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:${TT3D_WARNINGS}>)
+  target_compile_options(tt3d_${name} PRIVATE $<$<COMPILE_LANGUAGE:CXX>:${TT3D_WARNINGS}>
+                                              $<$<COMPILE_LANGUAGE:CUDA>:${TT3D_CUDA_FLAGS}>)
   if(ROOM_TORCH)
     target_link_libraries(tt3d_${name} PUBLIC TorchLibs::cpu)
     tt3d_torch_pch(tt3d_${name})

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <c10/core/Device.h>
+
 #include <CLI/CLI.hpp>
 #include <cstdint>
 #include <memory>
@@ -23,8 +25,8 @@ struct Common {
 /// Adds --device, --threads, --seed, --json, -v and -q to a subcommand.
 void add_common_options(CLI::App& command, Common& common);
 
-/// Applies device and threads; throws InputError for a device that is not there.
-void apply_common(const Common& common);
+/// Applies the threads and returns the device; throws InputError for one that is not there.
+at::Device apply_common(const Common& common);
 
 /// `tt3d model check|classify|list`.
 void add_model_command(CLI::App& app, Common& common);

@@ -21,7 +21,7 @@ void check_renderer(const std::string& name) {
 }
 
 void evaluate(Arguments& a, const Common& common) {
-  apply_common(common);
+  a.options.device = apply_common(common);
   check_renderer(a.renderer);
   a.options.seed = common.seed;
   const auto progress = make_progress(common);
@@ -34,11 +34,11 @@ void evaluate(Arguments& a, const Common& common) {
 }
 
 void render(const Arguments& a, const Common& common) {
-  apply_common(common);
+  const at::Device device = apply_common(common);
   check_renderer(a.renderer);
   const auto progress = make_progress(common);
   render_to_folder(a.options.asset, a.options.view_distribution, a.views, a.options.size,
-                   common.seed, a.out, *progress);
+                   common.seed, a.out, *progress, device);
   std::cout << a.out << "\n";
 }
 

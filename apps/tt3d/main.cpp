@@ -11,6 +11,7 @@
 
 #include "commands.h"
 #include "tt3d/core.h"
+#include "tt3d/device.h"
 #include "tt3d/version.h"
 
 namespace tt3d::cli {
@@ -29,11 +30,9 @@ void add_common_options(CLI::App& command, Common& common) {
       "-q", [&common] { common.verbosity = -1; }, "no progress, no notes");
 }
 
-void apply_common(const Common& common) {
-  if (common.device == "cuda") {
-    throw InputError("--device cuda: this build has no CUDA executors; use --device cpu");
-  }
+at::Device apply_common(const Common& common) {
   if (common.threads > 0) at::set_num_threads(common.threads);
+  return device_named(common.device);
 }
 
 namespace {
@@ -81,6 +80,11 @@ int main(int argc, char** argv) {
     return tt3d::cli::report_error(error.what(), error.exit_code());
   } catch (const std::bad_alloc&) {
     return tt3d::cli::report_error("out of memory; lower the batch or the resolution", 5);
+  } catch (const c10::OutOfMemoryError&) {
+    return tt3d::cli::report_error(
+        "out of memory on the device; lower field.samples_per_step, mesh.views_per_step or "
+        "attack.views_per_step",
+        5);
   } catch (const std::exception& error) {
     // The first line alone: torch appends a stack trace.
     const std::string text = error.what();

@@ -48,7 +48,7 @@ void apply_seed(RunConfig& config, const Common& common, const CLI::App& command
 }
 
 void run_all(const Arguments& a, const Common& common, const CLI::App& command) {
-  apply_common(common);
+  const at::Device device = apply_common(common);
   RunConfig config = load_config(a.config);
   for (const std::string& s : a.sets) set_config(config, s);
   apply_seed(config, common, command);
@@ -56,18 +56,20 @@ void run_all(const Arguments& a, const Common& common, const CLI::App& command) 
       a.run.empty() ? fs::path("runs") / fs::path(a.config).stem() : fs::path(a.run);
   const auto progress = make_progress(common);
   Run run(out, config, a.restart);
+  run.use_device(device);
   run.run_until("report", *progress);
   print_summary(run, common);
 }
 
 void fit(const Arguments& a, const Common& common, const CLI::App& command) {
-  apply_common(common);
+  const at::Device device = apply_common(common);
   RunConfig config;
   config.capture.path = fs::absolute(a.capture);
   for (const std::string& s : a.sets) set_config(config, s);
   apply_seed(config, common, command);
   const auto progress = make_progress(common);
   Run run(a.run, config, a.restart);
+  run.use_device(device);
   run.run_until("field", *progress);
   std::cout << read_file(run.folder() / "field" / "metrics.json");
 }
@@ -75,8 +77,9 @@ void fit(const Arguments& a, const Common& common, const CLI::App& command) {
 /// Runs a stage of an existing run, with keys changed first.
 Run continue_run(const Arguments& a, const Common& common, std::vector<std::string> assignments,
                  const std::string& stage) {
-  apply_common(common);
+  const at::Device device = apply_common(common);
   Run run = Run::open(a.run);
+  run.use_device(device);
   assignments.insert(assignments.end(), a.sets.begin(), a.sets.end());
   if (!assignments.empty()) run.reconfigure(assignments, stage);
   const auto progress = make_progress(common);

@@ -4,14 +4,17 @@
 #include <numbers>
 
 #include "tt3d/attack.h"
+#include "tt3d/random_tensor.h"
 
 namespace tt3d {
 namespace {
 
 using at::Tensor;
 
-/// One number a picture, shaped to broadcast over [N,C,H,W].
-Tensor column(const std::vector<float>& values) { return at::tensor(values).view({-1, 1, 1, 1}); }
+/// One number a picture, shaped to broadcast over `pictures` [N,C,H,W], on their device.
+Tensor column(const std::vector<float>& values, const Tensor& pictures) {
+  return at::tensor(values).view({-1, 1, 1, 1}).to(pictures.device());
+}
 
 /// Affine maps from the frame to the picture: rotation, size and place. [N,2,3].
 Tensor placements(int64_t count, const EotOptions& o, Random& random) {
@@ -57,12 +60,12 @@ std::vector<float> factors(int64_t count, double spread, Random& random) {
 /// Brightness, contrast around the mean, saturation around grey.
 Tensor jitter_colors(Tensor x, const EotOptions& o, Random& random) {
   const int64_t n = x.size(0);
-  x = x * column(factors(n, o.brightness, random));
+  x = x * column(factors(n, o.brightness, random), x);
   const Tensor mean = x.mean({1, 2, 3}, true);
-  x = mean + (x - mean) * column(factors(n, o.contrast, random));
-  const Tensor luma = at::tensor({0.299F, 0.587F, 0.114F}).view({1, 3, 1, 1});
+  x = mean + (x - mean) * column(factors(n, o.contrast, random), x);
+  const Tensor luma = at::tensor({0.299F, 0.587F, 0.114F}).view({1, 3, 1, 1}).to(x.device());
   const Tensor grey = (x * luma).sum(1, true);
-  return grey + (x - grey) * column(factors(n, o.saturation, random));
+  return grey + (x - grey) * column(factors(n, o.saturation, random), x);
 }
 
 /// Separable Gaussian blur, one sigma for the batch (its pictures already differ in size).
@@ -71,7 +74,7 @@ Tensor blur(const Tensor& x, double sigma) {
   const auto radius = static_cast<int64_t>(std::ceil(2 * sigma));
   const Tensor offsets = at::arange(-radius, radius + 1).to(at::kFloat);
   Tensor kernel = (-(offsets.square()) / (2 * sigma * sigma)).exp();
-  kernel = kernel / kernel.sum();
+  kernel = (kernel / kernel.sum()).to(x.device());
   const Tensor along_x = kernel.view({1, 1, 1, -1}).repeat({3, 1, 1, 1});
   const Tensor along_y = kernel.view({1, 1, -1, 1}).repeat({3, 1, 1, 1});
   const Tensor padded = at::replication_pad2d(x, {radius, radius, radius, radius});
@@ -82,34 +85,24 @@ Tensor blur(const Tensor& x, double sigma) {
   return convolve(convolve(padded, along_x), along_y);
 }
 
-Tensor gaussian_noise(at::IntArrayRef shape, Random& random) {
-  Tensor out = at::empty(shape);
-  auto* p = out.mutable_data_ptr<float>();
-  // A sum of four uniforms is near enough to a normal, and needs no logarithm.
-  constexpr float kScale = 1.7320508F;  // 1 / sqrt(4 / 12)
-  for (int64_t i = 0; i < out.numel(); ++i) {
-    const uint32_t a = random.next(), b = random.next();
-    const float sum = static_cast<float>((a & 0xFFFF) + (a >> 16) + (b & 0xFFFF) + (b >> 16));
-    p[i] = (sum / 65536.0F - 2.0F) * kScale;
-  }
-  return out;
-}
-
 }  // namespace
 
 Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o, uint64_t seed,
                         int64_t step, const Backgrounds* photographs) {
   Random random(seed, "attack/eot", static_cast<uint64_t>(step));
   const int64_t n = images.size(0);
-  const Tensor grid =
-      at::affine_grid_generator(placements(n, o, random), {n, 4, size, size}, false);
+  const Tensor grid = at::affine_grid_generator(placements(n, o, random).to(images.device()),
+                                                {n, 4, size, size}, false);
   constexpr int64_t kBilinear = 0, kZeros = 0;
   const Tensor placed = at::grid_sampler(images, grid, kBilinear, kZeros, false);
-  Tensor x = placed.narrow(1, 0, 3) +
-             (1 - placed.narrow(1, 3, 1)) * backgrounds(n, size, o, photographs, random);
+  const Tensor behind = backgrounds(n, size, o, photographs, random).to(images.device());
+  Tensor x = placed.narrow(1, 0, 3) + (1 - placed.narrow(1, 3, 1)) * behind;
   x = jitter_colors(x, o, random);
   x = blur(x, random.uniform(0, 1) * o.blur);
-  if (o.noise > 0) x = x + gaussian_noise(x.sizes(), random) * (random.uniform(0, 1) * o.noise);
+  if (o.noise > 0) {
+    const double sigma = random.uniform(0, 1) * o.noise;
+    x = x + noise_tensor(x.sizes(), random.key(), random.position(), x.device()) * sigma;
+  }
   return x.clamp(0, 1);
 }
 

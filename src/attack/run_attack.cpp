@@ -102,8 +102,9 @@ void load_state(const std::filesystem::path& path, AttackState& s) {
     all[i].copy_(file.get("appearance." + std::to_string(i), all[i].sizes(), at::kFloat));
   }
   for (size_t i = 0; i < s.moment1.size(); ++i) {
-    s.moment1[i] = file.get("moment1." + std::to_string(i), s.moment1[i].sizes(), at::kFloat);
-    s.moment2[i] = file.get("moment2." + std::to_string(i), s.moment2[i].sizes(), at::kFloat);
+    const std::string n = std::to_string(i);
+    s.moment1[i].copy_(file.get("moment1." + n, s.moment1[i].sizes(), at::kFloat));
+    s.moment2[i].copy_(file.get("moment2." + n, s.moment2[i].sizes(), at::kFloat));
   }
   s.curves = curves_from(file.get("curves", {-1, kCurveColumns}, at::kDouble));
   const Tensor counters = file.get("counters", {2}, at::kLong);
@@ -122,6 +123,7 @@ class Attacker {
       : input_(input),
         options_(options),
         seed_(seed),
+        views_(options.views_per_step),
         method_(attack_method(options.method)),
         clean_(input.appearance.clone()),
         prepared_(input.mesh.faces),
@@ -130,6 +132,10 @@ class Attacker {
     at::NoGradGuard guard;
     rest_edge_ = regularizer_.edge_length(input.mesh.vertices).item<double>();
   }
+
+  /// Views a step; fewer after halve_views.
+  [[nodiscard]] int64_t views() const { return views_; }
+  void halve_views() { views_ /= 2; }
 
   [[nodiscard]] AttackState fresh() const { return fresh_state(input_, method_, options_); }
 
@@ -141,10 +147,10 @@ class Attacker {
     const Tensor vertices = input_.mesh.vertices + s.offsets;
     Tensor rgb;
     const Tensor pictures = render(s, vertices, rgb);
-    double success = 0;
-    const Tensor objective = adversarial_loss(pictures, s.step, success);
+    std::vector<Tensor> hits;
+    const Tensor objective = adversarial_loss(pictures, s.step, hits);
     const Tensor excess = (rgb - mse_of_psnr(options_.psnr_floor)).clamp_min(0);
-    Tensor chamfer = at::zeros({}), laplacian = at::zeros({}), edge = at::zeros({});
+    Tensor chamfer = at::zeros({}, vertices.options()), laplacian = chamfer, edge = chamfer;
     if (method_.vertices) {
       chamfer = regularizer_.chamfer(vertices);
       laplacian = regularizer_.laplacian(vertices);
@@ -154,14 +160,7 @@ class Attacker {
                            options_.laplacian_weight * laplacian + options_.edge_weight * edge;
     const Tensor loss = objective + options_.beta * natural;
     grads = torch::autograd::grad({loss}, parameters);
-    return {s.step,
-            loss.item<double>(),
-            objective.item<double>(),
-            rgb.item<double>(),
-            chamfer.item<double>(),
-            laplacian.item<double>(),
-            edge.item<double>(),
-            success};
+    return curve_point(s.step, {loss, objective, rgb, chamfer, laplacian, edge}, hits);
   }
 
   void apply(const std::vector<Tensor>& grads, AttackState& s) const {
@@ -177,12 +176,24 @@ class Attacker {
   }
 
  private:
+  /// The step's figures, brought to the host at once.
+  static AttackCurvePoint curve_point(int64_t step, std::vector<Tensor> figures,
+                                      const std::vector<Tensor>& hits) {
+    figures.insert(figures.end(), hits.begin(), hits.end());
+    for (Tensor& f : figures) f = f.detach().to(at::kDouble);
+    const Tensor on_host = at::stack(figures).cpu();
+    const auto* f = on_host.const_data_ptr<double>();
+    double success = 0;
+    for (size_t m = 0; m < hits.size(); ++m) success += f[6 + m] / static_cast<double>(hits.size());
+    return {step, f[0], f[1], f[2], f[3], f[4], f[5], success};
+  }
+
   /// Renders the step's views [N,4,H,W], and R_rgb: the squared distance to the clean colours at
   /// the same surface points, summed over colours and averaged over the pictures' pixels as a
   /// mean squared error (paper, section 3.4).
   Tensor render(const AttackState& s, const Tensor& vertices, Tensor& rgb) const {
     std::vector<Camera> cameras;
-    const int64_t n = options_.views_per_step;
+    const int64_t n = views_;
     for (const SampledView& v : sample_views(options_.view_distribution, seed_, s.step * n, n,
                                              static_cast<int>(options_.image_size), input_.frame)) {
       cameras.push_back(v.camera);
@@ -203,8 +214,9 @@ class Attacker {
     return rendered.permute({0, 3, 1, 2});
   }
 
-  Tensor adversarial_loss(const Tensor& pictures, int64_t step, double& success) const {
-    Tensor total = at::zeros({});
+  /// `hits` receives each surrogate's share of pictures that it takes for the target.
+  Tensor adversarial_loss(const Tensor& pictures, int64_t step, std::vector<Tensor>& hits) const {
+    Tensor total = at::zeros({}, pictures.options());
     const auto models = static_cast<int64_t>(input_.surrogates.size());
     for (int64_t m = 0; m < models; ++m) {
       const Classifier& model = *input_.surrogates[m];
@@ -215,7 +227,7 @@ class Attacker {
       const Tensor logits = model.logits(seen);
       total = total + objective_loss(options_.objective, logits, input_.targets[m]);
       const Tensor hit = logits.detach().argmax(1) == input_.targets[m];
-      success += hit.to(at::kDouble).mean().item<double>() / static_cast<double>(models);
+      hits.push_back(hit.to(at::kDouble).mean());
     }
     return total / static_cast<double>(models);
   }
@@ -223,6 +235,7 @@ class Attacker {
   const AttackInput& input_;
   const AttackOptions& options_;
   uint64_t seed_;
+  int64_t views_;
   AttackMethod method_;
   Appearance clean_;
   RenderMesh prepared_;
@@ -230,6 +243,25 @@ class Attacker {
   double rest_edge_ = 0;
   std::optional<Backgrounds> photographs_;
 };
+
+/// One step's gradients; where the device's memory is too small for its views, with half of them
+/// from then on.
+AttackCurvePoint compute_within_memory(Attacker& attacker, const AttackState& s,
+                                       std::vector<Tensor>& grads, Progress& progress) {
+  for (;;) {
+    try {
+      return attacker.compute(s, grads);
+    } catch (const c10::OutOfMemoryError&) {
+      if (attacker.views() == 1) {
+        throw ResourceError(
+            "attack: out of memory on the device with one view a step; lower attack.image_size");
+      }
+    }
+    attacker.halve_views();
+    progress.note("attack: out of memory on the device, going on with " +
+                  std::to_string(attacker.views()) + " views a step");
+  }
+}
 
 void roll_back(const Attacker& attacker, const std::filesystem::path& checkpoint, AttackState& s,
                Progress& progress) {
@@ -258,14 +290,14 @@ AttackResult run_attack(const AttackInput& input, const AttackOptions& options, 
     throw InputError(
         "attack.eot.photographs: expected a folder, as photograph_background is not 0");
   }
-  const Attacker attacker(input, options, seed);
+  Attacker attacker(input, options, seed);
   AttackState s = attacker.fresh();
   if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
   progress.begin("attack", options.steps, s.step);
   double success = 0, objective = 0, rgb = 0;
   while (s.step < options.steps) {
     std::vector<Tensor> grads;
-    const AttackCurvePoint point = attacker.compute(s, grads);
+    const AttackCurvePoint point = compute_within_memory(attacker, s, grads, progress);
     if (!std::isfinite(point.loss)) {
       roll_back(attacker, checkpoint, s, progress);
       continue;

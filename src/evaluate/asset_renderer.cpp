@@ -60,20 +60,22 @@ void write_view_frame(const ViewFrame& frame, const std::filesystem::path& folde
   write_file_atomic(folder / kFrameFile, j.dump(1) + "\n");
 }
 
-AssetRenderer::AssetRenderer(const TexturedMesh& asset)
-    : asset_(asset),
-      texels_(asset.texture.to(at::kFloat) / 255),
-      opposites_(edge_opposites(asset.faces)) {
-  corner_uvs_ = asset.uvs.index_select(0, asset.uv_faces.flatten().to(at::kLong));
-  corner_index_ = asset.faces.flatten().to(at::kLong);
-  corner_faces_ = at::arange(corner_index_.size(0), at::kInt).view({-1, 3});
+AssetRenderer::AssetRenderer(const TexturedMesh& asset, at::Device device)
+    : asset_{asset.vertices.to(device), asset.faces.to(device), asset.uvs.to(device),
+             asset.uv_faces.to(device), asset.texture},
+      texels_((asset.texture.to(at::kFloat) / 255).to(device)),
+      opposites_(edge_opposites(asset.faces).to(device)) {
+  corner_uvs_ = asset_.uvs.index_select(0, asset_.uv_faces.flatten().to(at::kLong));
+  corner_index_ = asset_.faces.flatten().to(at::kLong);
+  corner_faces_ = at::arange(corner_index_.size(0), asset_.faces.options()).view({-1, 3});
   extent_ = asset.vertices.norm(2, {1}).max().item<double>();
 }
 
 Tensor AssetRenderer::render(const std::vector<Camera>& cameras) const {
   at::NoGradGuard guard;
   const int64_t height = cameras[0].height, width = cameras[0].width;
-  const Tensor clip = to_clip(asset_.vertices, clip_matrices(cameras, 1.05 * extent_ + 1e-6));
+  const Tensor matrices = clip_matrices(cameras, 1.05 * extent_ + 1e-6);
+  const Tensor clip = to_clip(asset_.vertices, matrices.to(asset_.vertices.device()));
   const Tensor rast = rasterize(clip, asset_.faces, height, width);
   const Tensor uv = interpolate(asset_.uvs, rast, asset_.uv_faces);
   const Tensor derivatives =

@@ -29,7 +29,8 @@ Tensor pictures_of(const AssetRenderer& renderer, const Backgrounds& backgrounds
     Random random(seed, "evaluate/background", static_cast<uint64_t>(i));
     behind.push_back(backgrounds.draw(cameras[0].height, cameras[0].width, random));
   }
-  const Tensor rgb = over_background(renderer.render(cameras), at::stack(behind)).clamp(0, 1);
+  const Tensor rendered = renderer.render(cameras);
+  const Tensor rgb = over_background(rendered, at::stack(behind).to(rendered.device())).clamp(0, 1);
   // What is scored is what a PNG of it would hold.
   return (rgb * 255).round().div(255).permute({0, 3, 1, 2}).contiguous();
 }
@@ -37,10 +38,12 @@ Tensor pictures_of(const AssetRenderer& renderer, const Backgrounds& backgrounds
 /// Adds a victim's answers to a batch.
 void answer(const Classifier& model, const Tensor& pictures, const Tensor& clean, int64_t target,
             int64_t true_class, std::vector<ViewAnswer>& answers) {
-  const Tensor p = model.logits(preprocess(pictures, model.card())).softmax(1);
+  const Tensor p = model.logits(preprocess(pictures, model.card())).softmax(1).cpu();
   const auto [best, index] = p.max(1);
   Tensor clean_index;
-  if (clean.defined()) clean_index = model.logits(preprocess(clean, model.card())).argmax(1);
+  if (clean.defined()) {
+    clean_index = model.logits(preprocess(clean, model.card())).argmax(1).cpu();
+  }
   for (int64_t i = 0; i < p.size(0); ++i) {
     ViewAnswer a;
     a.top1 = index[i].item<int64_t>();
@@ -108,9 +111,9 @@ EvalRecord evaluate_asset(const EvaluateOptions& options, Progress& progress) {
   record.options = options;
   record.asset_sha256 = sha256_file(options.asset);
   const TexturedMesh asset = load_asset(options.asset);
-  const AssetRenderer renderer(asset);
+  const AssetRenderer renderer(asset, options.device);
   std::optional<AssetRenderer> clean_renderer;
-  if (!options.clean.empty()) clean_renderer.emplace(load_asset(options.clean));
+  if (!options.clean.empty()) clean_renderer.emplace(load_asset(options.clean), options.device);
   const Backgrounds backgrounds(options.background);
   const bool has_clean = clean_renderer.has_value();
   std::vector<std::shared_ptr<Classifier>> models;
@@ -222,16 +225,16 @@ void write_record(const EvalRecord& record, const std::filesystem::path& json_pa
 
 void render_to_folder(const std::filesystem::path& asset_path, const std::string& distribution,
                       int64_t count, int size, uint64_t seed, const std::filesystem::path& out,
-                      Progress& progress) {
+                      Progress& progress, at::Device device) {
   const TexturedMesh asset = load_asset(asset_path);
-  const AssetRenderer renderer(asset);
+  const AssetRenderer renderer(asset, device);
   const auto views =
       evaluation_views(distribution, seed, count, size, asset_view_frame(asset, asset_path));
   json frames = json::array();
   progress.begin("render", count, 0);
   for (int64_t i = 0; i < count; ++i) {
     const SampledView& view = views[i];
-    const Tensor rgba = renderer.render({view.camera})[0].clamp(0, 1);
+    const Tensor rgba = renderer.render({view.camera})[0].clamp(0, 1).cpu();
     const Tensor alpha = rgba.narrow(2, 3, 1);
     const Tensor straight = at::cat({rgba.narrow(2, 0, 3) / alpha.clamp_min(1e-6), alpha}, 2);
     const std::string name = fmt::format("r_{}", i);

@@ -18,7 +18,7 @@ double ssim(const Tensor& a, const Tensor& b) {
   constexpr int64_t kRadius = 5;
   const Tensor offsets = at::arange(-kRadius, kRadius + 1).to(at::kDouble);
   Tensor kernel = (-(offsets.square()) / (2 * kSigma * kSigma)).exp();
-  kernel = kernel / kernel.sum();
+  kernel = (kernel / kernel.sum()).to(a.device());
   const auto smooth = [&](const Tensor& x) {
     return at::conv2d(at::conv2d(x, kernel.view({1, 1, 1, -1})), kernel.view({1, 1, -1, 1}));
   };

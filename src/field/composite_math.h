@@ -3,9 +3,9 @@
 #include <cmath>
 #include <cstdint>
 
-#include "tt3d/device.h"
+#include "tt3d/kernel.h"
 
-/// Body of volume rendering: one ray (Max, "Optical models for direct volume rendering", 1995).
+/// Bodies of volume rendering: one ray (Max, "Optical models for direct volume rendering", 1995).
 namespace tt3d::field {
 
 /// A ray is opaque beyond this transmittance.
@@ -49,5 +49,34 @@ TT3D_HD void composite_ray_backward(const T* densities, const T* colors, const T
     grad_densities[i] = steps[i] * (transmittance * value - behind);
   }
 }
+
+template <typename T>
+struct CompositeRay {
+  const T* densities;
+  const T* colors;
+  const T* steps;
+  const int64_t* ray_begin;
+  T* out;
+  int64_t samples;
+  TT3D_HD void operator()(int64_t r) const {
+    composite_ray(densities, colors, steps, ray_begin[r], ray_begin[r + 1], samples, out + 4 * r);
+  }
+};
+
+template <typename T>
+struct CompositeBackwardRay {
+  const T* densities;
+  const T* colors;
+  const T* steps;
+  const int64_t* ray_begin;
+  const T* grad_out;
+  T* grad_densities;
+  T* grad_colors;
+  int64_t samples;
+  TT3D_HD void operator()(int64_t r) const {
+    composite_ray_backward(densities, colors, steps, ray_begin[r], ray_begin[r + 1], samples,
+                           grad_out + 4 * r, grad_densities, grad_colors);
+  }
+};
 
 }  // namespace tt3d::field

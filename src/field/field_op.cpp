@@ -3,12 +3,15 @@
 
 #include <cmath>
 
+#include "adam_math.h"
 #include "composite_math.h"
-#include "field_cpu.h"
+#include "field_kernels.h"
 #include "march_math.h"
+#include "tt3d/device.h"
 #include "tt3d/field.h"
 
-// The only file of the room's kernels with torch: checks, allocation, autograd.
+// The only file of the room's kernels with torch: checks, allocation, autograd, choice of the
+// device.
 namespace tt3d {
 namespace {
 
@@ -40,15 +43,26 @@ std::vector<field::HashLevel> levels_of(const HashGridShape& shape) {
   return levels;
 }
 
+/// As a kernel takes them.
+field::HashLevels kernel_levels(const HashGridShape& shape) {
+  const auto list = levels_of(shape);
+  field::HashLevels levels = {};
+  levels.count = static_cast<int64_t>(list.size());
+  std::copy(list.begin(), list.end(), levels.level);
+  return levels;
+}
+
 struct HashEncode : public Function<HashEncode> {
   static Tensor forward(AutogradContext* ctx, const Tensor& x_in, const Tensor& table,
                         const HashGridShape& shape) {
     const Tensor x = x_in.contiguous();
     Tensor out = at::empty({shape.levels * shape.features, x.size(0)}, table.options());
-    const auto levels = levels_of(shape);
+    const field::HashLevels levels = kernel_levels(shape);
     AT_DISPATCH_FLOATING_TYPES(table.scalar_type(), "hash_encode", [&] {
-      field::hash_encode_cpu(x.const_data_ptr<scalar_t>(), table.const_data_ptr<scalar_t>(),
-                             out.mutable_data_ptr<scalar_t>(), x.size(0), levels, shape.features);
+      on_device_of(table, [&](const auto& on) {
+        field::hash_encode(on, x.const_data_ptr<scalar_t>(), table.const_data_ptr<scalar_t>(),
+                           out.mutable_data_ptr<scalar_t>(), x.size(0), levels, shape.features);
+      });
     });
     ctx->save_for_backward({x, table});
     ctx->saved_data["shape"] = std::vector<int64_t>{shape.levels, shape.base, shape.finest,
@@ -60,22 +74,27 @@ struct HashEncode : public Function<HashEncode> {
     const Tensor &x = saved[0], &table = saved[1];
     const auto s = ctx->saved_data["shape"].toIntVector();
     const HashGridShape shape{s[0], s[1], s[2], s[3], s[4]};
-    const auto levels = levels_of(shape);
+    const field::HashLevels levels = kernel_levels(shape);
     const Tensor grad = grads[0].contiguous();
     Tensor grad_x, grad_table;
     AT_DISPATCH_FLOATING_TYPES(table.scalar_type(), "hash_encode_backward", [&] {
+      const auto* points = x.const_data_ptr<scalar_t>();
+      const auto* g = grad.const_data_ptr<scalar_t>();
       if (ctx->needs_input_grad(1)) {
         grad_table = at::zeros_like(table);
-        field::hash_encode_backward_cpu(
-            x.const_data_ptr<scalar_t>(), grad.const_data_ptr<scalar_t>(),
-            grad_table.mutable_data_ptr<scalar_t>(), x.size(0), levels, shape.features);
+        on_device_of(table, [&](const auto& on) {
+          field::hash_encode_backward(on, points, g, grad_table.mutable_data_ptr<scalar_t>(),
+                                      x.size(0), levels, shape.features);
+        });
       }
       if (ctx->needs_input_grad(0)) {
         grad_x = at::empty_like(x);
-        field::hash_encode_backward_points_cpu(
-            x.const_data_ptr<scalar_t>(), table.const_data_ptr<scalar_t>(),
-            grad.const_data_ptr<scalar_t>(), grad_x.mutable_data_ptr<scalar_t>(), x.size(0), levels,
-            shape.features);
+        const field::HashPointGradient<scalar_t> body = {
+            points,    table.const_data_ptr<scalar_t>(),
+            g,         grad_x.mutable_data_ptr<scalar_t>(),
+            x.size(0), shape.features,
+            levels};
+        for_each_index_on(table, x.size(0), body);
       }
     });
     return {grad_x, grad_table, Tensor()};
@@ -134,9 +153,11 @@ struct Composite : public Function<Composite> {
     const int64_t rays = ray_begin.size(0) - 1;
     Tensor out = at::empty({rays, 4}, densities.options());
     AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "composite", [&] {
-      field::composite_cpu(densities.const_data_ptr<scalar_t>(), colors.const_data_ptr<scalar_t>(),
-                           steps.const_data_ptr<scalar_t>(), ray_begin.const_data_ptr<int64_t>(),
-                           out.mutable_data_ptr<scalar_t>(), rays, densities.size(0));
+      const field::CompositeRay<scalar_t> body = {
+          densities.const_data_ptr<scalar_t>(), colors.const_data_ptr<scalar_t>(),
+          steps.const_data_ptr<scalar_t>(),     ray_begin.const_data_ptr<int64_t>(),
+          out.mutable_data_ptr<scalar_t>(),     densities.size(0)};
+      for_each_index_on(out, rays, body);
     });
     ctx->save_for_backward({densities, colors, steps, ray_begin});
     return out;
@@ -147,37 +168,37 @@ struct Composite : public Function<Composite> {
     Tensor grad_densities = at::zeros_like(saved[0]);
     Tensor grad_colors = at::zeros_like(saved[1]);
     AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "composite_backward", [&] {
-      field::composite_backward_cpu(
-          saved[0].const_data_ptr<scalar_t>(), saved[1].const_data_ptr<scalar_t>(),
-          saved[2].const_data_ptr<scalar_t>(), saved[3].const_data_ptr<int64_t>(),
-          grad.const_data_ptr<scalar_t>(), grad_densities.mutable_data_ptr<scalar_t>(),
-          grad_colors.mutable_data_ptr<scalar_t>(), grad.size(0), saved[0].size(0));
+      const field::CompositeBackwardRay<scalar_t> body = {
+          saved[0].const_data_ptr<scalar_t>(),      saved[1].const_data_ptr<scalar_t>(),
+          saved[2].const_data_ptr<scalar_t>(),      saved[3].const_data_ptr<int64_t>(),
+          grad.const_data_ptr<scalar_t>(),          grad_densities.mutable_data_ptr<scalar_t>(),
+          grad_colors.mutable_data_ptr<scalar_t>(), saved[0].size(0)};
+      for_each_index_on(grad, grad.size(0), body);
     });
     return {grad_densities, grad_colors, Tensor(), Tensor()};
   }
 };
 
-/// Turns counts into offsets in place: [R+1] with element 0 = 0.
-void prefix_sum(const Tensor& counts) {
-  auto* p = counts.mutable_data_ptr<int64_t>();
-  for (int64_t i = 1; i < counts.size(0); ++i) p[i] += p[i - 1];
-}
-
-/// Whether any cell of each 8x8x8 block is occupied: lets rays skip empty space in large strides.
-std::vector<uint8_t> coarse_occupancy(const Tensor& occupied) {
+/// Whether any cell of each 8x8x8 block is occupied.
+Tensor coarse_occupancy(const Tensor& occupied) {
   const int64_t size = occupied.size(0), coarse = size / field::kCoarse;
   TORCH_CHECK(size % field::kCoarse == 0 && occupied.is_contiguous(),
               "occupied must be dense [G,G,G] with G a multiple of 8");
-  const auto* cells = occupied.const_data_ptr<uint8_t>();
-  std::vector<uint8_t> out(static_cast<size_t>(coarse * coarse * coarse), 0);
-  for (int64_t z = 0; z < size; ++z) {
-    for (int64_t y = 0; y < size; ++y) {
-      const uint8_t* row = cells + (z * size + y) * size;
-      uint8_t* target = out.data() + (z / field::kCoarse * coarse + y / field::kCoarse) * coarse;
-      for (int64_t x = 0; x < size; ++x) target[x / field::kCoarse] |= row[x];
-    }
-  }
+  Tensor out = at::empty({coarse * coarse * coarse}, occupied.options());
+  const field::CoarseCell body = {occupied.const_data_ptr<uint8_t>(),
+                                  out.mutable_data_ptr<uint8_t>(), size};
+  for_each_index_on(occupied, out.numel(), body);
   return out;
+}
+
+/// The GPU's layers are matrix products; autograd walks them back.
+Tensor mlp_of_products(const Tensor& x, const std::vector<Tensor>& weights) {
+  Tensor y = x;
+  for (size_t k = 0; k < weights.size(); ++k) {
+    y = at::mm(weights[k], y);
+    if (k + 1 < weights.size()) y = y.relu_();
+  }
+  return y;
 }
 
 }  // namespace
@@ -190,6 +211,9 @@ int64_t HashGridShape::entries() const {
 Tensor hash_encode(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
   TORCH_CHECK(x.dim() == 2 && x.size(1) == 3, "x must be [P,3]");
   TORCH_CHECK(shape.features == 1 || shape.features == 2, "features must be 1 or 2");
+  TORCH_CHECK(shape.levels >= 1 && shape.levels <= field::HashLevels::kMaxLevels,
+              "levels must be 1 to 32");
+  check_same_device("hash_encode", {x, table});
   TORCH_CHECK(
       table.is_contiguous() && table.size(0) == shape.entries() && table.size(1) == shape.features,
       "table must be dense [entries, features]");
@@ -199,6 +223,8 @@ Tensor hash_encode(const Tensor& x, const Tensor& table, const HashGridShape& sh
 Tensor mlp(const Tensor& x, const std::vector<Tensor>& weights) {
   TORCH_CHECK(!weights.empty() && x.dim() == 2 && x.size(0) == weights[0].size(1),
               "x must be [I,P] with I the first layer's inputs");
+  for (const Tensor& w : weights) check_same_device("mlp", {x, w});
+  if (x.is_cuda()) return mlp_of_products(x, weights);
   return Mlp::apply(x, at::TensorList(weights));
 }
 
@@ -206,63 +232,46 @@ Tensor composite(const Tensor& densities, const Tensor& colors, const Tensor& st
                  const Tensor& ray_begin) {
   TORCH_CHECK(colors.dim() == 2 && colors.size(0) == 3 && colors.size(1) == densities.size(0),
               "colors must be [3,S]");
+  check_same_device("composite", {densities, colors, steps, ray_begin});
   return Composite::apply(densities, colors, steps.contiguous(), ray_begin);
 }
 
 RaySamples march_rays(const Tensor& origins, const Tensor& directions, const Tensor& occupied,
                       const Tensor& jitter, double step, double near_distance) {
+  check_same_device("march_rays", {origins, directions, occupied, jitter});
   const int64_t rays = origins.size(0);
-  const auto* o = origins.const_data_ptr<float>();
-  const auto* d = directions.const_data_ptr<float>();
-  const auto* j = jitter.const_data_ptr<float>();
-  const std::vector<uint8_t> coarse = coarse_occupancy(occupied);
-  const field::MarchGrid grid = {occupied.const_data_ptr<uint8_t>(), coarse.data(),
-                                 occupied.size(0), static_cast<float>(step),
-                                 static_cast<float>(near_distance)};
-  Tensor begin = at::zeros({rays + 1}, at::kLong);
-  auto* b = begin.mutable_data_ptr<int64_t>();
-  for_each_index(rays, [&](int64_t r) {
-    int64_t count = 0;
-    field::march_ray(o + 3 * r, d + 3 * r, j[r], grid, [&](const float*) { ++count; });
-    b[r + 1] = count;
-  });
-  prefix_sum(begin);
-  const int64_t total = b[rays];
-  Tensor points = at::empty({total, 3});
-  auto* p = points.mutable_data_ptr<float>();
-  for_each_index(rays, [&](int64_t r) {
-    float* next = p + 3 * b[r];
-    field::march_ray(o + 3 * r, d + 3 * r, j[r], grid, [&](const float* point) {
-      for (int k = 0; k < 3; ++k) *next++ = point[k];
-    });
-  });
-  return {points, at::full({total}, step, at::kFloat), begin};
+  const Tensor coarse = coarse_occupancy(occupied);
+  const field::MarchRays input = {
+      origins.const_data_ptr<float>(), directions.const_data_ptr<float>(),
+      jitter.const_data_ptr<float>(),
+      field::MarchGrid{occupied.const_data_ptr<uint8_t>(), coarse.const_data_ptr<uint8_t>(),
+                       occupied.size(0), static_cast<float>(step),
+                       static_cast<float>(near_distance)}};
+  Tensor begin = at::zeros({rays + 1}, origins.options().dtype(at::kLong));
+  for_each_index_on(origins, rays, field::CountSamples{input, begin.mutable_data_ptr<int64_t>()});
+  const int64_t total = counts_to_begins(begin);
+  Tensor points = at::empty({total, 3}, origins.options());
+  for_each_index_on(origins, rays,
+                    field::WriteSamples{input, begin.const_data_ptr<int64_t>(),
+                                        points.mutable_data_ptr<float>()});
+  return {points, at::full({total}, step, origins.options()), begin};
 }
 
 std::pair<Tensor, Tensor> visible_samples(const Tensor& densities, const Tensor& steps,
                                           const Tensor& ray_begin, double threshold) {
+  check_same_device("visible_samples", {densities, steps, ray_begin});
   const int64_t rays = ray_begin.size(0) - 1;
-  const auto* sigma = densities.const_data_ptr<float>();
-  const auto* step = steps.const_data_ptr<float>();
-  const auto* b = ray_begin.const_data_ptr<int64_t>();
-  const double optical_limit = -std::log(threshold);
-  Tensor begin = at::zeros({rays + 1}, at::kLong);
-  auto* nb = begin.mutable_data_ptr<int64_t>();
-  for_each_index(rays, [&](int64_t r) {
-    double depth = 0;
-    int64_t i = b[r];
-    while (i < b[r + 1] && depth < optical_limit) {
-      depth += static_cast<double>(sigma[i] * step[i]);
-      ++i;
-    }
-    nb[r + 1] = i - b[r];
-  });
-  prefix_sum(begin);
-  Tensor kept = at::empty({nb[rays]}, at::kLong);
-  auto* k = kept.mutable_data_ptr<int64_t>();
-  for_each_index(rays, [&](int64_t r) {
-    for (int64_t i = 0; i < nb[r + 1] - nb[r]; ++i) k[nb[r] + i] = b[r] + i;
-  });
+  const auto* first = ray_begin.const_data_ptr<int64_t>();
+  Tensor begin = at::zeros({rays + 1}, ray_begin.options());
+  for_each_index_on(
+      densities, rays,
+      field::CountVisible{densities.const_data_ptr<float>(), steps.const_data_ptr<float>(), first,
+                          -std::log(threshold), begin.mutable_data_ptr<int64_t>()});
+  const int64_t total = counts_to_begins(begin);
+  Tensor kept = at::empty({total}, ray_begin.options());
+  for_each_index_on(
+      densities, rays,
+      field::WriteFirst{first, begin.const_data_ptr<int64_t>(), kept.mutable_data_ptr<int64_t>()});
   return {kept, begin};
 }
 
@@ -271,20 +280,16 @@ void Adam::step(const Tensor& parameter, const Tensor& gradient, const Tensor& m
   const auto t = static_cast<double>(iteration);
   const auto correction =
       static_cast<float>(rate * std::sqrt(1 - std::pow(beta2, t)) / (1 - std::pow(beta1, t)));
-  const auto b1 = static_cast<float>(beta1), b2 = static_cast<float>(beta2);
-  const auto eps = static_cast<float>(epsilon * std::sqrt(1 - std::pow(beta2, t)));
-  auto* p = parameter.mutable_data_ptr<float>();
-  const auto* g = gradient.const_data_ptr<float>();
-  auto* m = moment1.mutable_data_ptr<float>();
-  auto* v = moment2.mutable_data_ptr<float>();
-  at::parallel_for(0, parameter.numel(), 16384, [&](int64_t first, int64_t last) {
-    for (int64_t i = first; i < last; ++i) {
-      if (g[i] == 0.0F) continue;
-      m[i] = b1 * m[i] + (1 - b1) * g[i];
-      v[i] = b2 * v[i] + (1 - b2) * g[i] * g[i];
-      p[i] -= correction * m[i] / (std::sqrt(v[i]) + eps);
-    }
-  });
+  check_same_device("Adam", {parameter, gradient, moment1, moment2});
+  const field::AdamEntry body = {parameter.mutable_data_ptr<float>(),
+                                 gradient.const_data_ptr<float>(),
+                                 moment1.mutable_data_ptr<float>(),
+                                 moment2.mutable_data_ptr<float>(),
+                                 static_cast<float>(beta1),
+                                 static_cast<float>(beta2),
+                                 static_cast<float>(epsilon * std::sqrt(1 - std::pow(beta2, t))),
+                                 correction};
+  for_each_index_on(parameter, parameter.numel(), body);
 }
 
 }  // namespace tt3d

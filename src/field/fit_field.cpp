@@ -5,6 +5,7 @@
 
 #include "rays.h"
 #include "tt3d/field.h"
+#include "tt3d/random_tensor.h"
 #include "tt3d/tensor_file.h"
 
 namespace tt3d {
@@ -41,11 +42,11 @@ void require_gradients(const RadianceField& f) {
 
 TrainingState fresh_state(const Capture& capture, const FieldOptions& options, uint64_t seed) {
   TrainingState s;
-  s.field = RadianceField::create(options.shape, seed);
+  s.field = RadianceField::create(options.shape, seed).to(options.device);
   s.moment1 = zeros_like_all(s.field.parameters());
   s.moment2 = zeros_like_all(s.field.parameters());
   s.average = zeros_like_all(s.field.parameters());
-  s.occupancy.hull = field::visual_hull(capture.train, options.shape.occupancy);
+  s.occupancy.hull = field::visual_hull(capture.train, options.shape.occupancy).to(options.device);
   if (s.occupancy.hull.sum().item<int64_t>() == 0) {
     throw InputError("the silhouettes of the photographs share no volume: wrong cameras or masks");
   }
@@ -85,8 +86,8 @@ void load_state(const std::filesystem::path& path, TrainingState& s) {
   copy_all("moment1.", s.moment1);
   copy_all("moment2.", s.moment2);
   copy_all("average.", s.average);
-  s.field.occupied = file.get("occupied", s.field.occupied.sizes(), at::kByte).clone();
-  s.occupancy.density = file.get("density", s.occupancy.density.sizes(), at::kFloat).clone();
+  s.field.occupied.copy_(file.get("occupied", s.field.occupied.sizes(), at::kByte));
+  s.occupancy.density.copy_(file.get("density", s.occupancy.density.sizes(), at::kFloat));
   const Tensor counters = file.get("counters", {3}, at::kLong);
   s.step = counters[0].item<int64_t>();
   s.rays = counters[1].item<int64_t>();
@@ -108,10 +109,8 @@ double learning_rate(const FieldOptions& options, int64_t step) {
 Tensor total_variation(const RadianceField& f, uint64_t seed, int64_t step) {
   constexpr int64_t kPoints = 1024;
   constexpr double kOffset = 1.0 / 128;
-  Tensor points = at::empty({kPoints, 3});
-  auto* p = points.mutable_data_ptr<float>();
-  Random random(seed, "field/tv", static_cast<uint64_t>(step));
-  for (int64_t i = 0; i < 3 * kPoints; ++i) p[i] = static_cast<float>(random.uniform(-1, 1));
+  const Random random(seed, "field/tv", static_cast<uint64_t>(step));
+  const Tensor points = uniform_tensor({kPoints, 3}, -1, 1, random.key(), f.device());
   const auto variation = [&](const Tensor& grid, const HashGridShape& shape) {
     return (hash_encode(points, grid, shape) - hash_encode(points + kOffset, grid, shape))
         .square()
@@ -128,14 +127,11 @@ struct StepResult {
 };
 
 /// Draws rays, renders, differentiates. Gradients are left in `grads`.
-StepResult compute_gradients(const Capture& capture, const field::PixelPool& pool,
-                             const FieldOptions& options, uint64_t seed, const TrainingState& s,
-                             std::vector<Tensor>& grads) {
-  const field::Rays rays = field::random_rays(capture.train, pool, s.rays, seed, s.step);
-  Tensor noise = at::empty({s.rays, 4});
-  auto* p = noise.mutable_data_ptr<float>();
-  Random random(seed, "field/background", static_cast<uint64_t>(s.step));
-  for (int64_t i = 0; i < noise.numel(); ++i) p[i] = random.uniform();
+StepResult compute_gradients(const field::PixelPool& pool, const FieldOptions& options,
+                             uint64_t seed, const TrainingState& s, std::vector<Tensor>& grads) {
+  const field::Rays rays = field::random_rays(pool, s.rays, seed, s.step);
+  const Random random(seed, "field/background", static_cast<uint64_t>(s.step));
+  const Tensor noise = uniform_tensor({s.rays, 4}, random.key(), options.device);
   const bool with_specular =
       static_cast<double>(s.step) >= options.diffuse_share * static_cast<double>(options.steps);
   StepResult result;
@@ -155,8 +151,10 @@ StepResult compute_gradients(const Capture& capture, const field::PixelPool& poo
     loss = loss + options.tv_weight * total_variation(s.field, seed, s.step);
   grads = torch::autograd::grad({loss}, s.field.parameters(), {}, false, false,
                                 /*allow_unused=*/true);
-  result.loss = loss.item<double>();
-  result.mse = mse.item<double>();
+  // The step's one way back to the host.
+  const Tensor figures = at::stack({loss.detach(), mse.detach()}).cpu();
+  result.loss = figures[0].item<double>();
+  result.mse = figures[1].item<double>();
   return result;
 }
 
@@ -228,7 +226,8 @@ RadianceField fit_field(const Capture& capture, const FieldOptions& options, uin
     throw InputError(
         "the capture has no masks: give the photographs an alpha channel, or mask_path entries");
   }
-  const field::PixelPool pool = field::make_pixel_pool(capture.train, options.shape.occupancy);
+  const field::PixelPool pool =
+      field::make_pixel_pool(capture.train, options.shape.occupancy, options.device);
   TrainingState s = fresh_state(capture, options, seed);
   if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
   progress.begin("field", options.steps, s.step);
@@ -236,7 +235,7 @@ RadianceField fit_field(const Capture& capture, const FieldOptions& options, uin
   while (s.step < options.steps) {
     if (s.step % kOccupancyEvery == 0 && s.step > 0) s.occupancy.refresh(s.field, seed, s.step);
     std::vector<Tensor> grads;
-    const StepResult result = compute_gradients(capture, pool, options, seed, s, grads);
+    const StepResult result = compute_gradients(pool, options, seed, s, grads);
     if (!std::isfinite(result.loss)) {
       roll_back(checkpoint, capture, options, seed, s, progress);
       continue;

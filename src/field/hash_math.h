@@ -3,9 +3,9 @@
 #include <cmath>
 #include <cstdint>
 
-#include "tt3d/device.h"
+#include "tt3d/kernel.h"
 
-/// Body of the hash encoding: one point in one level (Mueller et al. 2022, section 3).
+/// Bodies of the hash encoding: one point in one level (Mueller et al. 2022, section 3).
 namespace tt3d::field {
 
 struct HashLevel {
@@ -32,5 +32,187 @@ TT3D_HD uint32_t entry_of(uint32_t x, uint32_t y, uint32_t z, const HashLevel& l
   if (level.dense) return x + level.resolution * (y + level.resolution * z);
   return (x ^ (y * 2654435761U) ^ (z * 805459861U)) & (level.size - 1U);
 }
+
+/// All levels, small enough to travel as a kernel's argument.
+struct HashLevels {
+  static constexpr int64_t kMaxLevels = 32;
+  HashLevel level[kMaxLevels];
+  int64_t count;
+};
+
+/// A grid point of a cell: its entry and its weight at the point inside.
+template <typename T>
+struct Corner {
+  uint32_t entry;
+  T weight;
+};
+
+/// Corner k of the cell: bit 0 moves along x, bit 1 along y, bit 2 along z.
+template <typename T>
+TT3D_HD Corner<T> corner_of(int k, const uint32_t cell[3], const T fraction[3],
+                            const HashLevel& level) {
+  const uint32_t dx = k & 1, dy = (k >> 1) & 1, dz = (k >> 2) & 1;
+  const T wx = dx ? fraction[0] : T(1) - fraction[0];
+  const T wy = dy ? fraction[1] : T(1) - fraction[1];
+  const T wz = dz ? fraction[2] : T(1) - fraction[2];
+  return {entry_of(cell[0] + dx, cell[1] + dy, cell[2] + dz, level), wx * wy * wz};
+}
+
+/// The numbers of one entry. The GPU takes them in one load.
+template <typename T, int F>
+struct alignas(sizeof(T) * F) Entry {
+  T value[F];
+};
+
+template <typename T, int F>
+TT3D_HD Entry<T, F> load_entry(const T* table, uint32_t entry) {
+#ifdef __CUDA_ARCH__
+  return *reinterpret_cast<const Entry<T, F>*>(table + static_cast<int64_t>(entry) * F);
+#else
+  Entry<T, F> e;
+  for (int f = 0; f < F; ++f) e.value[f] = table[static_cast<int32_t>(entry) * F + f];
+  return e;
+#endif
+}
+
+/// Adds to one entry. From sm_90 on the GPU takes two floats in one atomic.
+template <typename T, int F>
+TT3D_HD void add_to_entry(T* table, uint32_t entry, T weight, const T value[F]) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
+  constexpr bool kPair = sizeof(T) == sizeof(float) && F == 2;
+#else
+  constexpr bool kPair = false;
+#endif
+  if constexpr (kPair) {
+#ifdef __CUDA_ARCH__
+    atomicAdd(reinterpret_cast<float2*>(table + static_cast<int64_t>(entry) * 2),
+              make_float2(weight * value[0], weight * value[1]));
+#endif
+  } else {
+    for (int f = 0; f < F; ++f) accumulate(table + entry * F + f, weight * value[f]);
+  }
+}
+
+/// sum[F] of point x[3] in a level whose entries begin at `table`.
+template <typename T, int F>
+TT3D_HD void encode_point(const T* x, const T* table, const HashLevel& level, T sum[F]) {
+  uint32_t cell[3];
+  T fraction[3];
+  for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);
+  for (int f = 0; f < F; ++f) sum[f] = 0;
+  for (int k = 0; k < 8; ++k) {
+    const Corner<T> c = corner_of(k, cell, fraction, level);
+    const Entry<T, F> e = load_entry<T, F>(table, c.entry);
+    for (int f = 0; f < F; ++f) sum[f] += c.weight * e.value[f];
+  }
+}
+
+/// Backward of encode_point: adds grad[F] to the cell's entries.
+template <typename T, int F>
+TT3D_HD void scatter_point(const T* x, const T grad[F], T* grad_table, const HashLevel& level) {
+  bool zero = true;
+  for (int f = 0; f < F; ++f) zero = zero && grad[f] == T(0);
+  if (zero) return;
+  uint32_t cell[3];
+  T fraction[3];
+  for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);
+  for (int k = 0; k < 8; ++k) {
+    const Corner<T> c = corner_of(k, cell, fraction, level);
+    add_to_entry<T, F>(grad_table, c.entry, c.weight, grad);
+  }
+}
+
+/// Point i % count in level i / count: points [count,3], out [levels * F, count].
+template <typename T, int F>
+struct HashEncodeItem {
+  const T* points;
+  const T* table;
+  T* out;
+  int64_t count;
+  HashLevels levels;
+  TT3D_HD void operator()(int64_t i) const {
+    const int64_t l = i / count, p = i % count;
+    const HashLevel& level = levels.level[l];
+    T sum[F];
+    encode_point<T, F>(points + 3 * p, table + level.offset * F, level, sum);
+    for (int f = 0; f < F; ++f) out[(l * F + f) * count + p] = sum[f];
+  }
+};
+
+template <typename T, int F>
+struct HashScatterItem {
+  const T* points;
+  const T* grad_out;
+  T* grad_table;
+  int64_t count;
+  HashLevels levels;
+  TT3D_HD void operator()(int64_t i) const {
+    const int64_t l = i / count, p = i % count;
+    const HashLevel& level = levels.level[l];
+    T grad[F];
+    for (int f = 0; f < F; ++f) grad[f] = grad_out[(l * F + f) * count + p];
+    scatter_point<T, F>(points + 3 * p, grad, grad_table + level.offset * F, level);
+  }
+};
+
+/// Gradient of encode_point with respect to the position inside the cell, for grad[F].
+template <typename T, int F>
+TT3D_HD void slope_of_point(const T* x, const T* table, const T grad[F], const HashLevel& level,
+                            T sum[3]) {
+  uint32_t cell[3];
+  T fraction[3];
+  for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);
+  for (int k = 0; k < 3; ++k) sum[k] = 0;
+  for (int k = 0; k < 8; ++k) {
+    const Entry<T, F> e = load_entry<T, F>(table, corner_of(k, cell, fraction, level).entry);
+    T value = 0;
+    for (int f = 0; f < F; ++f) value += e.value[f] * grad[f];
+    T weight[3], sign[3];
+    for (int axis = 0; axis < 3; ++axis) {
+      const bool upper = (k >> axis) & 1;
+      weight[axis] = upper ? fraction[axis] : T(1) - fraction[axis];
+      sign[axis] = upper ? T(1) : T(-1);
+    }
+    sum[0] += value * sign[0] * weight[1] * weight[2];
+    sum[1] += value * sign[1] * weight[0] * weight[2];
+    sum[2] += value * sign[2] * weight[0] * weight[1];
+  }
+}
+
+/// How far a position inside a level's cell moves with the point.
+template <typename T>
+TT3D_HD T stretch_of(const HashLevel& level) {
+  return static_cast<T>(level.scale) * T(0.5);
+}
+
+/// Whether a coordinate moves the look-up: clamped ones do not.
+template <typename T>
+TT3D_HD bool is_inside(T x) {
+  return x > T(-1) && x < T(1);
+}
+
+/// Gradient with respect to point i; overwrites it.
+template <typename T, int F>
+struct HashPointGradient {
+  const T* points;
+  const T* table;
+  const T* grad_out;
+  T* grad_points;
+  int64_t count;
+  HashLevels levels;
+  TT3D_HD void operator()(int64_t i) const {
+    T total[3] = {};
+    for (int64_t l = 0; l < levels.count; ++l) {
+      const HashLevel& level = levels.level[l];
+      T grad[F], sum[3];
+      for (int f = 0; f < F; ++f) grad[f] = grad_out[(l * F + f) * count + i];
+      slope_of_point<T, F>(points + 3 * i, table + level.offset * F, grad, level, sum);
+      for (int axis = 0; axis < 3; ++axis) total[axis] += sum[axis] * stretch_of<T>(level);
+    }
+    for (int axis = 0; axis < 3; ++axis) {
+      grad_points[3 * i + axis] = is_inside(points[3 * i + axis]) ? total[axis] : T(0);
+    }
+  }
+};
 
 }  // namespace tt3d::field

@@ -3,9 +3,10 @@
 #include <cmath>
 #include <cstdint>
 
-#include "tt3d/device.h"
+#include "tt3d/kernel.h"
 
-/// Body of ray marching: one ray through the occupancy grid over [-1,1]^3.
+/// Bodies of ray marching through the occupancy grid over [-1,1]^3, and of choosing samples: one
+/// ray. Lists are made in two passes, count and write, with a prefix sum between.
 namespace tt3d::field {
 
 /// Cells a side of a coarse cell.
@@ -79,5 +80,145 @@ TT3D_HD void march_ray(const float o[3], const float d[3], float jitter, const M
     i += steps > 1 ? steps : 1;
   }
 }
+
+/// Whether any cell of 8x8x8 is occupied: lets rays skip empty space in large strides.
+struct CoarseCell {
+  const uint8_t* occupied;
+  uint8_t* coarse;
+  int64_t size;  ///< of the fine grid, a multiple of 8
+  TT3D_HD void operator()(int64_t i) const {
+    const int64_t n = size / kCoarse;
+    const int64_t x = i % n * kCoarse, y = i / n % n * kCoarse, z = i / n / n * kCoarse;
+    uint8_t any = 0;
+    for (int64_t dz = 0; dz < kCoarse; ++dz) {
+      for (int64_t dy = 0; dy < kCoarse; ++dy) {
+        const uint8_t* row = occupied + ((z + dz) * size + y + dy) * size + x;
+        for (int64_t dx = 0; dx < kCoarse; ++dx) any |= row[dx];
+      }
+    }
+    coarse[i] = any;
+  }
+};
+
+/// Rays to march, [R,3] each.
+struct MarchRays {
+  const float* origins;
+  const float* directions;
+  const float* jitter;
+  MarchGrid grid;
+};
+
+struct CountSamples {
+  MarchRays rays;
+  int64_t* counts;  ///< [R+1]
+  TT3D_HD void operator()(int64_t r) const {
+    int64_t count = 0;
+    march_ray(rays.origins + 3 * r, rays.directions + 3 * r, rays.jitter[r], rays.grid,
+              [&](const float*) { ++count; });
+    counts[r + 1] = count;
+  }
+};
+
+struct WriteSamples {
+  MarchRays rays;
+  const int64_t* begin;
+  float* points;
+  TT3D_HD void operator()(int64_t r) const {
+    float* next = points + 3 * begin[r];
+    march_ray(rays.origins + 3 * r, rays.directions + 3 * r, rays.jitter[r], rays.grid,
+              [&](const float* point) {
+                for (int k = 0; k < 3; ++k) *next++ = point[k];
+              });
+  }
+};
+
+/// How many samples of a ray lie before an optical depth.
+struct CountVisible {
+  const float* densities;
+  const float* steps;
+  const int64_t* begin;
+  double limit;
+  int64_t* counts;  ///< [R+1]
+  TT3D_HD void operator()(int64_t r) const {
+    double depth = 0;
+    int64_t i = begin[r];
+    while (i < begin[r + 1] && depth < limit) {
+      depth += static_cast<double>(densities[i] * steps[i]);
+      ++i;
+    }
+    counts[r + 1] = i - begin[r];
+  }
+};
+
+/// The first samples of each ray, as many as its list is long.
+struct WriteFirst {
+  const int64_t* begin;
+  const int64_t* kept_begin;
+  int64_t* kept;
+  TT3D_HD void operator()(int64_t r) const {
+    for (int64_t k = kept_begin[r]; k < kept_begin[r + 1]; ++k) {
+      kept[k] = begin[r] + k - kept_begin[r];
+    }
+  }
+};
+
+/// A round's samples of a ray: the next few, while it is transparent.
+struct RoundRange {
+  const int64_t* begin;
+  const double* depth;
+  double limit;
+  int64_t skip, length;  ///< samples of the rounds before, of this one
+  TT3D_HD int64_t first(int64_t r) const { return begin[r] + skip; }
+  TT3D_HD int64_t count(int64_t r) const {
+    const int64_t left = begin[r + 1] - first(r);
+    if (depth[r] >= limit || left <= 0) return 0;
+    return left < length ? left : length;
+  }
+};
+
+struct CountRound {
+  RoundRange range;
+  int64_t* counts;  ///< [R+1]
+  TT3D_HD void operator()(int64_t r) const { counts[r + 1] = range.count(r); }
+};
+
+struct WriteRound {
+  RoundRange range;
+  const int64_t* chosen_begin;
+  int64_t* chosen;
+  TT3D_HD void operator()(int64_t r) const {
+    const int64_t first = range.first(r);
+    for (int64_t k = chosen_begin[r]; k < chosen_begin[r + 1]; ++k) {
+      chosen[k] = first + k - chosen_begin[r];
+    }
+  }
+};
+
+/// Adds the round's optical depth to its rays.
+struct AddRound {
+  RoundRange range;
+  const int64_t* chosen_begin;
+  const float* densities;
+  const float* steps;
+  double* depth;
+  TT3D_HD void operator()(int64_t r) const {
+    const int64_t first = range.first(r), count = chosen_begin[r + 1] - chosen_begin[r];
+    for (int64_t i = first; i < first + count; ++i) {
+      depth[r] += static_cast<double>(densities[i] * steps[i]);
+    }
+  }
+};
+
+/// Directions of the samples, repeated from their rays.
+struct RepeatDirection {
+  const float* directions;  ///< [R,3]
+  const int64_t* begin;
+  float* out;  ///< [S,3]
+  TT3D_HD void operator()(int64_t r) const {
+    for (int64_t i = begin[r]; i < begin[r + 1]; ++i) {
+      for (int k = 0; k < 3; ++k) out[3 * i + k] = directions[3 * r + k];
+    }
+  }
+};
 
 }  // namespace tt3d::field

@@ -2,7 +2,8 @@
 #include <cstring>
 #include <memory>
 
-#include "field_cpu.h"
+#include "field_kernels.h"
+#include "tt3d/device.h"
 
 // A block of kBlock points goes through all layers while its activations are in cache.
 namespace tt3d::field {

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "tt3d/field.h"
+#include "tt3d/random_tensor.h"
 #include "tt3d/tensor_file.h"
 
 namespace tt3d {
@@ -10,12 +11,8 @@ namespace {
 
 using at::Tensor;
 
-Tensor uniform_tensor(at::IntArrayRef shape, double bound, uint64_t seed, const std::string& name) {
-  Tensor t = at::empty(shape, at::kFloat);
-  Random random(seed, "field/" + name);
-  auto* p = t.mutable_data_ptr<float>();
-  for (int64_t i = 0; i < t.numel(); ++i) p[i] = static_cast<float>(random.uniform(-bound, bound));
-  return t;
+Tensor initial_tensor(at::IntArrayRef shape, double bound, uint64_t seed, const std::string& name) {
+  return uniform_tensor(shape, -bound, bound, Random(seed, "field/" + name).key(), at::kCPU);
 }
 
 /// Layers in -> hidden... -> out, He-uniform.
@@ -25,7 +22,7 @@ std::vector<Tensor> make_mlp(const std::vector<int64_t>& widths, uint64_t seed,
   for (size_t k = 0; k + 1 < widths.size(); ++k) {
     const double bound = std::sqrt(6.0 / static_cast<double>(widths[k]));
     weights.push_back(
-        uniform_tensor({widths[k + 1], widths[k]}, bound, seed, name + std::to_string(k)));
+        initial_tensor({widths[k + 1], widths[k]}, bound, seed, name + std::to_string(k)));
   }
   return weights;
 }
@@ -80,15 +77,21 @@ Appearance Appearance::clone() const {
   return copy;
 }
 
+Appearance Appearance::to(at::Device device) const {
+  Appearance moved = {shape, grid.detach().to(device), {}};
+  for (const Tensor& w : color_mlp) moved.color_mlp.push_back(w.detach().to(device));
+  return moved;
+}
+
 RadianceField RadianceField::create(const FieldShape& shape, uint64_t seed) {
   RadianceField f;
   f.shape = shape;
   constexpr double kGridBound = 1e-4;
-  f.geometry_grid = uniform_tensor({shape.geometry.entries(), 1}, kGridBound, seed, "geometry");
+  f.geometry_grid = initial_tensor({shape.geometry.entries(), 1}, kGridBound, seed, "geometry");
   f.density_mlp = make_mlp({3 + shape.geometry.levels, shape.density_hidden, 1}, seed, "density");
   f.appearance.shape = shape.appearance;
   f.appearance.grid =
-      uniform_tensor({shape.appearance.entries(), 2}, kGridBound, seed, "appearance");
+      initial_tensor({shape.appearance.entries(), 2}, kGridBound, seed, "appearance");
   f.appearance.color_mlp = make_mlp(
       {3 + 2 * shape.appearance.levels, shape.color_hidden, shape.color_hidden, 6}, seed, "color");
   f.specular_mlp = make_mlp({6, shape.specular_hidden, 3}, seed, "specular");
@@ -110,6 +113,14 @@ Tensor RadianceField::color(const Tensor& x, const Tensor& directions, bool with
       mlp(at::cat({directions.t(), features.narrow(0, 3, 3)}, 0), specular_mlp).sigmoid();
   if (specular_out) *specular_out = specular;
   return (diffuse + specular).clamp(0, 1);
+}
+
+RadianceField RadianceField::to(at::Device device) const {
+  RadianceField moved = {
+      shape, geometry_grid.detach().to(device), {}, appearance.to(device), {}, occupied.to(device)};
+  for (const Tensor& w : density_mlp) moved.density_mlp.push_back(w.detach().to(device));
+  for (const Tensor& w : specular_mlp) moved.specular_mlp.push_back(w.detach().to(device));
+  return moved;
 }
 
 std::vector<Tensor> RadianceField::parameters() const {

@@ -3,28 +3,16 @@
 #include <ATen/ATen.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
+#include "march_math.h"
+#include "rays_math.h"
 #include "tt3d/device.h"
 
 namespace tt3d::field {
 
 using at::Tensor;
-
-void pixel_ray(const Camera& camera, double column, double row, float origin[3],
-               float direction[3]) {
-  const double local[3] = {(column - camera.cx) / camera.fx, -(row - camera.cy) / camera.fy, -1.0};
-  const auto& m = camera.camera_to_world;
-  double world[3], norm = 0;
-  for (int k = 0; k < 3; ++k) {
-    world[k] = m[4 * k] * local[0] + m[4 * k + 1] * local[1] + m[4 * k + 2] * local[2];
-    norm += world[k] * world[k];
-  }
-  for (int k = 0; k < 3; ++k) {
-    origin[k] = static_cast<float>(m[4 * k + 3]);
-    direction[k] = static_cast<float>(world[k] / std::sqrt(norm));
-  }
-}
 
 namespace {
 
@@ -48,50 +36,79 @@ Tensor dilated_mask(const View& view, int64_t grid_size) {
 
 }  // namespace
 
-PixelPool make_pixel_pool(const std::vector<View>& views, int64_t occupancy_size) {
-  PixelPool pool;
-  pool.view_begin.push_back(0);
+namespace {
+
+/// A camera as the kernels take it.
+std::array<double, kCameraNumbers> camera_numbers(const Camera& camera, int64_t first_pixel) {
+  std::array<double, kCameraNumbers> numbers{};
+  std::copy_n(camera.camera_to_world.begin(), 12, numbers.begin());
+  const double rest[] = {camera.fx,
+                         camera.fy,
+                         camera.cx,
+                         camera.cy,
+                         static_cast<double>(camera.width),
+                         static_cast<double>(first_pixel)};
+  std::copy_n(rest, 6, numbers.begin() + 12);
+  return numbers;
+}
+
+Rays empty_rays(int64_t count, at::Device device) {
+  const auto options = at::TensorOptions().dtype(at::kFloat).device(device);
+  return {at::empty({count, 3}, options), at::empty({count, 3}, options), Tensor()};
+}
+
+}  // namespace
+
+PixelPool make_pixel_pool(const std::vector<View>& views, int64_t occupancy_size,
+                          at::Device device) {
+  std::vector<Tensor> pictures, pixels;
+  std::vector<double> cameras;
+  std::vector<int64_t> view_begin = {0};
+  int64_t first_pixel = 0;
   for (const View& view : views) {
-    pool.targets.push_back(premultiplied(view).contiguous());
-    const Tensor inside = dilated_mask(view, occupancy_size).flatten().nonzero().flatten();
-    const auto* p = inside.const_data_ptr<int64_t>();
-    pool.pixels.insert(pool.pixels.end(), p, p + inside.numel());
-    pool.view_begin.push_back(static_cast<int64_t>(pool.pixels.size()));
+    pictures.push_back(premultiplied(view).view({-1, 4}));
+    pixels.push_back(dilated_mask(view, occupancy_size).flatten().nonzero().flatten());
+    const auto numbers = camera_numbers(view.camera, first_pixel);
+    cameras.insert(cameras.end(), numbers.begin(), numbers.end());
+    view_begin.push_back(view_begin.back() + pixels.back().numel());
+    first_pixel += pictures.back().size(0);
   }
-  if (pool.pixels.empty()) throw InputError("the object is in none of the photographs' masks");
+  if (view_begin.back() == 0) throw InputError("the object is in none of the photographs' masks");
+  PixelPool pool;
+  pool.pictures = at::cat(pictures).to(device);
+  pool.pixels = at::cat(pixels).to(device);
+  pool.cameras = at::tensor(cameras, at::kDouble).view({-1, kCameraNumbers}).to(device);
+  pool.view_begin = at::tensor(view_begin, at::kLong).to(device);
   return pool;
 }
 
-Rays random_rays(const std::vector<View>& views, const PixelPool& pool, int64_t count,
-                 uint64_t seed, int64_t step) {
-  Rays rays = {at::empty({count, 3}), at::empty({count, 3}), at::empty({count, 4})};
-  auto* o = rays.origins.mutable_data_ptr<float>();
-  auto* d = rays.directions.mutable_data_ptr<float>();
-  auto* t = rays.targets.mutable_data_ptr<float>();
-  Random random(seed, "field/rays", static_cast<uint64_t>(step));
-  const auto pool_size = static_cast<int64_t>(pool.pixels.size());
-  for (int64_t r = 0; r < count; ++r) {
-    const int64_t i = random.index(pool_size);
-    const auto v = std::upper_bound(pool.view_begin.begin(), pool.view_begin.end(), i) -
-                   pool.view_begin.begin() - 1;
-    const Camera& camera = views[v].camera;
-    const int64_t pixel = pool.pixels[i];
-    pixel_ray(camera, static_cast<double>(pixel % camera.width) + 0.5,
-              static_cast<double>(pixel / camera.width) + 0.5, o + 3 * r, d + 3 * r);
-    std::copy_n(pool.targets[v].const_data_ptr<float>() + 4 * pixel, 4, t + 4 * r);
-  }
+Rays random_rays(const PixelPool& pool, int64_t count, uint64_t seed, int64_t step) {
+  Rays rays = empty_rays(count, pool.pictures.device());
+  rays.targets = at::empty({count, 4}, pool.pictures.options());
+  const Random random(seed, "field/rays", static_cast<uint64_t>(step));
+  const DrawRay body = {random.key(),
+                        pool.pixels.const_data_ptr<int64_t>(),
+                        pool.view_begin.const_data_ptr<int64_t>(),
+                        pool.cameras.size(0),
+                        pool.cameras.const_data_ptr<double>(),
+                        pool.pictures.const_data_ptr<float>(),
+                        rays.origins.mutable_data_ptr<float>(),
+                        rays.directions.mutable_data_ptr<float>(),
+                        rays.targets.mutable_data_ptr<float>()};
+  for_each_index_on(pool.pictures, count, body);
   return rays;
 }
 
-Rays row_rays(const Camera& camera, int64_t row_begin, int64_t row_end) {
+Rays row_rays(const Camera& camera, int64_t row_begin, int64_t row_end, at::Device device) {
   const int64_t count = (row_end - row_begin) * camera.width;
-  Rays rays = {at::empty({count, 3}), at::empty({count, 3}), Tensor()};
-  auto* o = rays.origins.mutable_data_ptr<float>();
-  auto* d = rays.directions.mutable_data_ptr<float>();
-  for_each_index(count, [&](int64_t i) {
-    pixel_ray(camera, static_cast<double>(i % camera.width) + 0.5,
-              static_cast<double>(row_begin + i / camera.width) + 0.5, o + 3 * i, d + 3 * i);
-  });
+  Rays rays = empty_rays(count, device);
+  RowRay body = {{},
+                 row_begin,
+                 rays.origins.mutable_data_ptr<float>(),
+                 rays.directions.mutable_data_ptr<float>()};
+  const auto numbers = camera_numbers(camera, 0);
+  std::copy(numbers.begin(), numbers.end(), body.camera);
+  for_each_index_on(rays.origins, count, body);
   return rays;
 }
 
@@ -99,19 +116,12 @@ namespace {
 
 /// Directions of the samples, repeated from their rays: [S,3].
 Tensor sample_directions(const Rays& rays, const Tensor& ray_begin, int64_t samples) {
-  Tensor out = at::empty({samples, 3});
-  auto* p = out.mutable_data_ptr<float>();
-  const auto* d = rays.directions.const_data_ptr<float>();
-  const auto* b = ray_begin.const_data_ptr<int64_t>();
-  for_each_index(ray_begin.size(0) - 1, [&](int64_t r) {
-    for (int64_t i = b[r]; i < b[r + 1]; ++i) std::copy_n(d + 3 * r, 3, p + 3 * i);
-  });
+  Tensor out = at::empty({samples, 3}, rays.directions.options());
+  const RepeatDirection body = {rays.directions.const_data_ptr<float>(),
+                                ray_begin.const_data_ptr<int64_t>(), out.mutable_data_ptr<float>()};
+  for_each_index_on(out, ray_begin.size(0) - 1, body);
   return out;
 }
-
-}  // namespace
-
-namespace {
 
 constexpr double kVisible = 1e-3;  ///< samples behind this transmittance are not shaded
 
@@ -120,31 +130,26 @@ constexpr double kVisible = 1e-3;  ///< samples behind this transmittance are no
 Tensor visible_densities(const RadianceField& f, const RaySamples& samples, int64_t* evaluated) {
   constexpr int64_t kRound = 16;
   const int64_t rays = samples.ray_begin.size(0) - 1;
-  const auto* b = samples.ray_begin.const_data_ptr<int64_t>();
-  const auto* steps = samples.steps.const_data_ptr<float>();
-  Tensor densities = at::zeros({samples.points.size(0)});
-  auto* sigma = densities.mutable_data_ptr<float>();
-  std::vector<double> depth(static_cast<size_t>(rays), 0.0);
-  const double limit = -std::log(kVisible);
-  std::vector<int64_t> chosen;
+  const auto count_options = samples.ray_begin.options();
+  Tensor densities = at::zeros({samples.points.size(0)}, samples.points.options());
+  Tensor depth = at::zeros({rays}, samples.points.options().dtype(at::kDouble));
+  auto* depths = depth.mutable_data_ptr<double>();
   for (int64_t round = 0;; ++round) {
-    chosen.clear();
-    for (int64_t r = 0; r < rays; ++r) {
-      if (depth[r] >= limit) continue;
-      const int64_t first = b[r] + round * kRound;
-      for (int64_t i = first; i < std::min(b[r + 1], first + kRound); ++i) chosen.push_back(i);
-    }
-    if (chosen.empty()) return densities;
-    if (evaluated) *evaluated += static_cast<int64_t>(chosen.size());
-    const Tensor index =
-        at::from_blob(chosen.data(), {static_cast<int64_t>(chosen.size())}, at::kLong);
-    densities.index_copy_(0, index, f.density(samples.points.index_select(0, index)));
-    for (int64_t r = 0; r < rays; ++r) {
-      const int64_t first = b[r] + round * kRound;
-      for (int64_t i = first; i < std::min(b[r + 1], first + kRound); ++i) {
-        depth[r] += static_cast<double>(sigma[i] * steps[i]);
-      }
-    }
+    const RoundRange range = {samples.ray_begin.const_data_ptr<int64_t>(), depths,
+                              -std::log(kVisible), round * kRound, kRound};
+    Tensor begin = at::zeros({rays + 1}, count_options);
+    for_each_index_on(depth, rays, CountRound{range, begin.mutable_data_ptr<int64_t>()});
+    const int64_t total = counts_to_begins(begin);
+    if (total == 0) return densities;
+    if (evaluated) *evaluated += total;
+    const auto* chosen_begin = begin.const_data_ptr<int64_t>();
+    Tensor chosen = at::empty({total}, count_options);
+    for_each_index_on(depth, rays,
+                      WriteRound{range, chosen_begin, chosen.mutable_data_ptr<int64_t>()});
+    densities.index_copy_(0, chosen, f.density(samples.points.index_select(0, chosen)));
+    for_each_index_on(depth, rays,
+                      AddRound{range, chosen_begin, densities.const_data_ptr<float>(),
+                               samples.steps.const_data_ptr<float>(), depths});
   }
 }
 
@@ -213,23 +218,16 @@ void OccupancyGrid::refresh(RadianceField& f, uint64_t seed, int64_t step) {
   at::NoGradGuard guard;
   const int64_t size = hull.size(0);
   const Tensor cells = hull.flatten().nonzero().flatten();
-  Tensor points = at::empty({cells.size(0), 3});
-  auto* p = points.mutable_data_ptr<float>();
-  const auto* c = cells.const_data_ptr<int64_t>();
-  Random random(seed, "field/occupancy", static_cast<uint64_t>(step));
-  const float width = 2.0F / static_cast<float>(size);
-  for (int64_t i = 0; i < cells.size(0); ++i) {
-    const int64_t coordinate[3] = {c[i] % size, c[i] / size % size, c[i] / size / size};
-    for (int k = 0; k < 3; ++k) {
-      p[3 * i + k] = -1 + width * (static_cast<float>(coordinate[k]) + random.uniform());
-    }
-  }
+  Tensor points = at::empty({cells.size(0), 3}, density.options());
+  const Random random(seed, "field/occupancy", static_cast<uint64_t>(step));
+  for_each_index_on(points, cells.size(0),
+                    CellPoint{random.key(), cells.const_data_ptr<int64_t>(), size,
+                              points.mutable_data_ptr<float>()});
   const Tensor fresh = f.density(points);
   Tensor flat = density.view({-1});
   const Tensor updated = at::maximum(flat.index_select(0, cells) * 0.95, fresh);
   flat.index_copy_(0, cells, updated);
-  const double threshold = std::min(updated.mean().item<double>(), 10.0);
-  f.occupied = (density > threshold).to(at::kByte);
+  f.occupied = (density > updated.mean().clamp_max(10)).to(at::kByte);
 }
 
 }  // namespace tt3d::field

@@ -14,25 +14,23 @@ struct Rays {
   at::Tensor origins, directions, targets;
 };
 
-/// The ray through the point (column, row) of the image plane, in pixels.
-void pixel_ray(const Camera& camera, double column, double row, float origin[3],
-               float direction[3]);
-
 /// Pixels worth a ray: those whose rays can meet the visual hull. The others see the background in
-/// any field that fits the masks, and give no gradient.
+/// any field that fits the masks, and give no gradient. All on the device of the training.
 struct PixelPool {
-  std::vector<at::Tensor> targets;  ///< a view's premultiplied colour and alpha [H,W,4]
-  std::vector<int64_t> pixels;      ///< row-major pixel numbers, views one after the other
-  std::vector<int64_t> view_begin;  ///< [views + 1] into pixels
+  at::Tensor pictures;    ///< [all pixels,4] the views' premultiplied colour and alpha, one after
+                          ///< the other
+  at::Tensor cameras;     ///< [views,kCameraNumbers] double (rays_math.h)
+  at::Tensor pixels;      ///< [pool] int64, row-major numbers inside their picture
+  at::Tensor view_begin;  ///< [views + 1] int64 into pixels
 };
-PixelPool make_pixel_pool(const std::vector<View>& views, int64_t occupancy_size);
+PixelPool make_pixel_pool(const std::vector<View>& views, int64_t occupancy_size,
+                          at::Device device);
 
 /// Draws `count` random pixels of the pool, keyed by (seed, step).
-Rays random_rays(const std::vector<View>& views, const PixelPool& pool, int64_t count,
-                 uint64_t seed, int64_t step);
+Rays random_rays(const PixelPool& pool, int64_t count, uint64_t seed, int64_t step);
 
 /// All pixels of rows [row_begin,row_end) of a camera.
-Rays row_rays(const Camera& camera, int64_t row_begin, int64_t row_end);
+Rays row_rays(const Camera& camera, int64_t row_begin, int64_t row_end, at::Device device);
 
 /// Colour and alpha of rays: [R,4], premultiplied. With gradient when grad mode is on.
 /// `specular_loss`, when given, receives the mean square of the specular part; `cost` the samples

@@ -16,8 +16,8 @@ Tensor render_field(const RadianceField& f, const Camera& camera, double step) {
   std::vector<Tensor> parts;
   for (int64_t row = 0; row < camera.height; row += rows) {
     const field::Rays rays =
-        field::row_rays(camera, row, std::min<int64_t>(camera.height, row + rows));
-    const Tensor jitter = at::full({rays.origins.size(0)}, 0.5F);
+        field::row_rays(camera, row, std::min<int64_t>(camera.height, row + rows), f.device());
+    const Tensor jitter = at::full({rays.origins.size(0)}, 0.5F, rays.origins.options());
     parts.push_back(field::render_rays(f, rays, jitter, step, true, nullptr, nullptr));
   }
   return at::cat(parts).view({camera.height, camera.width, 4});
@@ -38,7 +38,7 @@ double mean_psnr(const std::vector<View>& views, const ViewRenderer& render, Pro
   const Tensor white = at::ones({3});
   double sum = 0;
   for (size_t i = 0; i < views.size(); ++i) {
-    const Tensor difference = over_background(render(views[i].camera), white).clamp(0, 1) -
+    const Tensor difference = over_background(render(views[i].camera).cpu(), white).clamp(0, 1) -
                               over_background(premultiplied(views[i]), white);
     sum += -10 * std::log10(std::max(1e-10, difference.square().mean().item<double>()));
     progress.update(static_cast<int64_t>(i) + 1, {{"psnr", sum / static_cast<double>(i + 1)}});

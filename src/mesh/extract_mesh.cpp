@@ -49,13 +49,13 @@ Tensor grid_positions(const Tensor& index, int64_t resolution) {
 Tensor log_density_grid(const RadianceField& f, const MeshOptions& options, Progress& progress) {
   at::NoGradGuard guard;
   const int64_t g = options.resolution;
-  const Tensor index = candidate_points(f.occupied, g).nonzero().flatten();
+  const Tensor index = candidate_points(f.occupied.cpu(), g).nonzero().flatten();
   Tensor density = at::zeros({g * g * g});
   constexpr int64_t kChunk = 1 << 19;
   progress.begin("density grid", index.size(0), 0);
   for (int64_t i = 0; i < index.size(0); i += kChunk) {
     const Tensor part = index.narrow(0, i, std::min(kChunk, index.size(0) - i));
-    density.index_copy_(0, part, f.density(grid_positions(part, g)));
+    density.index_copy_(0, part, f.density(grid_positions(part, g).to(f.device())).cpu());
     progress.update(std::min(index.size(0), i + kChunk), {});
     progress.check();
   }

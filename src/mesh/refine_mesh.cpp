@@ -73,15 +73,17 @@ void save_state(const RefineState& s, const std::filesystem::path& path) {
 
 void load_state(const std::filesystem::path& path, RefineState& s) {
   const TensorFile file = load_tensors(path);
-  s.mesh = {file.get("vertices", {-1, 3}, at::kFloat), file.get("faces", {-1, 3}, at::kInt)};
+  s.mesh =
+      TriMesh{file.get("vertices", {-1, 3}, at::kFloat), file.get("faces", {-1, 3}, at::kInt)}.to(
+          s.offsets.device());
   reset_offsets(s);
   at::NoGradGuard guard;
   const auto all = s.parameters();
   for (size_t i = 0; i < all.size(); ++i) {
     const std::string n = std::to_string(i);
     all[i].copy_(file.get("parameter." + n, all[i].sizes(), at::kFloat));
-    s.moment1[i] = file.get("moment1." + n, all[i].sizes(), at::kFloat);
-    s.moment2[i] = file.get("moment2." + n, all[i].sizes(), at::kFloat);
+    s.moment1[i].copy_(file.get("moment1." + n, all[i].sizes(), at::kFloat));
+    s.moment2[i].copy_(file.get("moment2." + n, all[i].sizes(), at::kFloat));
   }
   const Tensor counters = file.get("counters", {3}, at::kLong);
   s.step = counters[0].item<int64_t>();
@@ -135,7 +137,8 @@ StepLoss compute_gradients(const Capture& capture, const std::vector<Tensor>& ta
   const Tensor rendered = render_mesh(vertices, vertices, prepared, cameras,
                                       [&](const Tensor& x) { return s.appearance.color(x); });
   Random random(seed, "mesh/background", static_cast<uint64_t>(s.step));
-  const Tensor background = at::tensor({random.uniform(), random.uniform(), random.uniform()});
+  const Tensor background =
+      at::tensor({random.uniform(), random.uniform(), random.uniform()}).to(target.device());
   const Tensor mse =
       (over_background(rendered, background) - over_background(target, background)).square().mean();
   const Tensor loss =
@@ -143,7 +146,9 @@ StepLoss compute_gradients(const Capture& capture, const std::vector<Tensor>& ta
       options.laplacian_weight * regularizer.laplacian(vertices) +
       options.offset_weight * s.offsets.square().sum(1).mean();
   grads = torch::autograd::grad({loss}, s.parameters());
-  return {loss.item<double>(), mse.item<double>()};
+  // The step's one way back to the host.
+  const Tensor figures = at::stack({loss.detach(), mse.detach()}).cpu();
+  return {figures[0].item<double>(), figures[1].item<double>()};
 }
 
 void apply_gradients(const MeshOptions& options, const std::vector<Tensor>& grads, RefineState& s) {
@@ -167,7 +172,8 @@ Tensor face_errors(const Capture& capture, const std::vector<Tensor>& targets, c
                    const RenderMesh& prepared) {
   at::NoGradGuard guard;
   const int64_t count = s.mesh.faces.size(0);
-  Tensor sum = at::zeros({count + 1}), pixels = at::zeros({count + 1});
+  Tensor sum = at::zeros({count + 1}, s.mesh.vertices.options());
+  Tensor pixels = at::zeros_like(sum);
   const Tensor vertices = s.mesh.vertices + s.offsets;
   for (size_t v = 0; v < capture.train.size(); ++v) {
     Tensor rast;
@@ -187,25 +193,28 @@ Tensor extreme_faces(const Tensor& error, double share, bool largest) {
   const int64_t count = error.size(0);
   const auto chosen = static_cast<int64_t>(share * static_cast<double>(count));
   const Tensor order = std::get<1>(error.sort(/*dim=*/0, /*descending=*/largest));
-  return at::zeros({count}, at::kBool).index_fill_(0, order.narrow(0, 0, chosen), true);
+  return at::zeros({count}, error.options().dtype(at::kBool))
+      .index_fill_(0, order.narrow(0, 0, chosen), true);
 }
 
 /// Thins the best faces, then splits the worst, within the options' bounds on their number.
 void remesh(const Capture& capture, const std::vector<Tensor>& targets, const MeshOptions& options,
             RefineState& s) {
+  const at::Device device = s.mesh.vertices.device();
   s.mesh.vertices = (s.mesh.vertices + s.offsets).detach();
   reset_offsets(s);
   const auto errors = [&] { return face_errors(capture, targets, s, RenderMesh(s.mesh.faces)); };
   const double kept = 1 - options.decimate_share * (1 - options.decimate_ratio);
   if (kept * static_cast<double>(s.mesh.faces.size(0)) >= static_cast<double>(options.min_faces)) {
     const Tensor best = extreme_faces(errors(), options.decimate_share, false);
-    s.mesh = drop_small_components(decimate(s.mesh, best, options.decimate_ratio),
-                                   options.min_component);
+    s.mesh =
+        drop_small_components(decimate(s.mesh, best, options.decimate_ratio), options.min_component)
+            .to(device);
     reset_offsets(s);
   }
   const Tensor worst = extreme_faces(errors(), options.split_share, true);
   const TriMesh divided = subdivide(s.mesh, worst, options.min_edge);
-  if (divided.faces.size(0) <= options.max_faces) s.mesh = divided;
+  if (divided.faces.size(0) <= options.max_faces) s.mesh = divided.to(device);
   reset_offsets(s);
 }
 
@@ -219,11 +228,13 @@ bool remesh_now(const MeshOptions& options, int64_t step) {
 
 }  // namespace
 
-RefinedMesh refine_mesh(const TriMesh& mesh, const Appearance& appearance, const Capture& capture,
+RefinedMesh refine_mesh(const TriMesh& start, const Appearance& appearance, const Capture& capture,
                         const MeshOptions& options, uint64_t seed,
                         const std::filesystem::path& checkpoint, Progress& progress) {
+  const at::Device device = appearance.grid.device();
+  const TriMesh mesh = start.to(device);
   std::vector<Tensor> targets;
-  for (const View& view : capture.train) targets.push_back(premultiplied(view));
+  for (const View& view : capture.train) targets.push_back(premultiplied(view).to(device));
   const auto groups = groups_by_size(capture.train);
   RefineState s = fresh_state(mesh, appearance);
   if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <nanoflann.hpp>
 
+#include "nearest_math.h"
 #include "topology.h"
 #include "tt3d/device.h"
 #include "tt3d/mesh.h"
@@ -44,6 +45,23 @@ std::pair<Tensor, Tensor> nearest(const Tensor& queries, const Tensor& points, i
   return {index, distance};
 }
 
+/// The row of `values` of the point nearest to each query; where `own` [Q] holds, it is known to be
+/// the query's own number.
+Tensor rows_of_nearest(const Tensor& values, const Tensor& queries, const Tensor& points,
+                       const Tensor& own) {
+  if (queries.is_cpu()) {
+    if (own.all().item<bool>()) return values;
+    return values.index_select(0, nearest(queries, points, 0).first);
+  }
+  const Tensor index = at::empty({queries.size(0)}, queries.options().dtype(at::kLong));
+  for_each_index_on(
+      queries, queries.size(0),
+      mesh::NearestPoint{queries.const_data_ptr<float>(), points.const_data_ptr<float>(),
+                         points.size(0), own.const_data_ptr<bool>(),
+                         index.mutable_data_ptr<int64_t>()});
+  return values.index_select(0, index);
+}
+
 /// Unique undirected edges [E,2] int64, in order of first appearance.
 Tensor unique_edges(const TriMesh& m) {
   std::vector<uint64_t> keys;
@@ -63,12 +81,13 @@ Tensor unique_edges(const TriMesh& m) {
 
 }  // namespace
 
-MeshRegularizer::MeshRegularizer(const TriMesh& rest)
-    : rest_(rest.vertices.detach().contiguous()), edges_(unique_edges(rest)) {
-  degree_ = at::zeros({rest_.size(0)});
-  degree_.index_add_(0, edges_.flatten(), at::ones({edges_.numel()}));
+MeshRegularizer::MeshRegularizer(const TriMesh& rest) : rest_(rest.vertices.detach().contiguous()) {
+  edges_ = unique_edges(rest).to(rest_.device());
+  degree_ = at::zeros({rest_.size(0)}, rest_.options());
+  degree_.index_add_(0, edges_.flatten(), at::ones({edges_.numel()}, rest_.options()));
   degree_ = degree_.clamp_min(1).unsqueeze(1);
-  spacing_ = nearest(rest_, rest_, 1).second;
+  const Tensor on_host = rest_.cpu();
+  spacing_ = nearest(on_host, on_host, 1).second.to(rest_.device());
 }
 
 Tensor MeshRegularizer::laplacian(const Tensor& vertices) const {
@@ -92,11 +111,9 @@ Tensor MeshRegularizer::chamfer(const Tensor& vertices) const {
   const Tensor offset = (moved - rest_).norm(2, {1});
   // A vertex that moved less than half its spacing has its own rest place as the nearest; a rest
   // place whose spacing exceeds its own move and the largest one has its own vertex nearest.
-  const bool own_rest = (offset * 2 < spacing_).all().item<bool>();
-  const bool own_vertex = (offset + offset.max() < spacing_).all().item<bool>();
-  const Tensor to_rest = own_rest ? rest_ : rest_.index_select(0, nearest(moved, rest_, 0).first);
+  const Tensor to_rest = rows_of_nearest(rest_, moved, rest_, offset * 2 < spacing_);
   const Tensor to_vertex =
-      own_vertex ? vertices : vertices.index_select(0, nearest(rest_, moved, 0).first);
+      rows_of_nearest(vertices, rest_, moved, offset + offset.max() < spacing_);
   return (vertices - to_rest).square().sum(1).mean() + (to_vertex - rest_).square().sum(1).mean();
 }
 

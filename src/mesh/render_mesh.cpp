@@ -25,7 +25,8 @@ Tensor clip_matrices(const std::vector<Camera>& cameras, double extent) {
 }
 
 Tensor to_clip(const Tensor& vertices, const Tensor& matrices) {
-  const Tensor homogeneous = at::cat({vertices, at::ones({vertices.size(0), 1})}, 1);
+  const Tensor homogeneous =
+      at::cat({vertices, at::ones({vertices.size(0), 1}, vertices.options())}, 1);
   return at::matmul(homogeneous, matrices.transpose(1, 2));
 }
 
@@ -34,15 +35,15 @@ Tensor render_mesh(const Tensor& vertices, const Tensor& rest, const RenderMesh&
                    Tensor* rast_out) {
   const auto views = static_cast<int64_t>(cameras.size());
   const int64_t height = cameras[0].height, width = cameras[0].width;
-  const Tensor clip = to_clip(vertices, clip_matrices(cameras));
+  const Tensor clip = to_clip(vertices, clip_matrices(cameras).to(vertices.device()));
   const Tensor rast = rasterize(clip, mesh.faces, height, width);
   if (rast_out) *rast_out = rast.detach();
   // Shade covered pixels only.
   const Tensor covered = (rast.detach().select(3, 3) > 0).flatten().nonzero().flatten();
   const Tensor positions = interpolate(rest, rast, mesh.faces).view({-1, 3});
   const Tensor colors = shader(positions.index_select(0, covered)).t();
-  const Tensor shaded = at::cat({colors, at::ones({covered.size(0), 1})}, 1);
-  const Tensor picture = at::zeros({views * height * width, 4})
+  const Tensor shaded = at::cat({colors, at::ones({covered.size(0), 1}, colors.options())}, 1);
+  const Tensor picture = at::zeros({views * height * width, 4}, shaded.options())
                              .index_copy(0, covered, shaded)
                              .view({views, height, width, 4});
   return antialias(picture, rast, clip, mesh.faces, mesh.opposites);

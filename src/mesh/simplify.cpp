@@ -36,7 +36,7 @@ std::vector<Face> simplified_faces(const std::vector<Point>& points, const std::
 /// Both parts of a selection.
 std::pair<std::vector<Face>, std::vector<Face>> partition(const std::vector<Face>& faces,
                                                           const at::Tensor& selected) {
-  const at::Tensor dense = selected.to(at::kBool).contiguous();
+  const at::Tensor dense = selected.cpu().to(at::kBool).contiguous();
   const bool* chosen = dense.const_data_ptr<bool>();
   std::pair<std::vector<Face>, std::vector<Face>> parts;
   for (size_t i = 0; i < faces.size(); ++i) {

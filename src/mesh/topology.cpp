@@ -15,10 +15,14 @@ namespace tt3d {
 using mesh::Face;
 using mesh::UnionFind;
 
+TriMesh TriMesh::to(at::Device device) const {
+  return {vertices.detach().to(device), faces.to(device)};
+}
+
 namespace mesh {
 
 std::vector<Face> faces_of(const TriMesh& m) {
-  const at::Tensor dense = m.faces.contiguous();
+  const at::Tensor dense = m.faces.cpu().contiguous();
   const auto* p = dense.const_data_ptr<int32_t>();
   std::vector<Face> faces(static_cast<size_t>(dense.size(0)));
   for (size_t i = 0; i < faces.size(); ++i) faces[i] = {p[3 * i], p[3 * i + 1], p[3 * i + 2]};
@@ -26,7 +30,7 @@ std::vector<Face> faces_of(const TriMesh& m) {
 }
 
 std::vector<Point> points_of(const TriMesh& m) {
-  const at::Tensor dense = m.vertices.detach().contiguous();
+  const at::Tensor dense = m.vertices.detach().cpu().contiguous();
   const auto* p = dense.const_data_ptr<float>();
   std::vector<Point> points(static_cast<size_t>(dense.size(0)));
   for (size_t i = 0; i < points.size(); ++i) points[i] = {p[3 * i], p[3 * i + 1], p[3 * i + 2]};

@@ -2,7 +2,7 @@
 
 #include "rasterize_math.h"
 
-/// Body of antialias: one pair of neighbouring pixels.
+/// Bodies of antialias: one pixel with its neighbours to the right and below.
 namespace tt3d::raster {
 
 /// A silhouette edge between the centres of pixels A and B.
@@ -114,5 +114,102 @@ TT3D_HD void crossing_backward(const T* clip, const EdgeCrossing& crossing, doub
   grad1[1] += y1;
   grad1[3] -= grad_a * (-ax * a0.y + ay * a0.x) + grad_b * (-bx * b0.y + by * b0.x);
 }
+
+/// What antialias reads of the scene.
+template <typename T>
+struct AntialiasScene {
+  const T* rast;
+  const T* clip;
+  const int32_t* faces;
+  const int32_t* opposites;
+};
+
+/// Two neighbouring pixels that a silhouette edge separates.
+struct CrossedPair {
+  int64_t a, b;           ///< pixels of all views
+  double ax, ay, bx, by;  ///< their centres
+  EdgeCrossing crossing;
+};
+
+/// The pair of a pixel and its neighbour to the right or below; false when there is none or no
+/// silhouette lies between them.
+template <typename T>
+TT3D_HD bool crossed_pair(const AntialiasScene<T>& scene, const Sizes& s, const PixelPlace& at,
+                          bool horizontal, CrossedPair& pair) {
+  if (horizontal ? at.column + 1 >= s.width : at.row + 1 >= s.height) return false;
+  pair.a = (at.view * s.height + at.row) * s.width + at.column;
+  pair.b = horizontal ? pair.a + 1 : pair.a + s.width;
+  if (scene.rast[4 * pair.a + 3] == scene.rast[4 * pair.b + 3]) return false;
+  pair.ax = pixel_x(at.column, s.width);
+  pair.ay = pixel_y(at.row, s.height);
+  pair.bx = horizontal ? pixel_x(at.column + 1, s.width) : pair.ax;
+  pair.by = horizontal ? pair.ay : pixel_y(at.row + 1, s.height);
+  return find_crossing(scene.clip + at.view * s.vertices * 4, scene.faces, scene.opposites,
+                       scene.rast + 4 * pair.a, scene.rast + 4 * pair.b, pair.ax, pair.ay, pair.bx,
+                       pair.by, horizontal, pair.crossing);
+}
+
+template <typename T>
+struct AntialiasPixel {
+  AntialiasScene<T> scene;
+  const T* color;
+  T* out;
+  Sizes s;
+  TT3D_HD void operator()(const PixelPlace& at) const {
+    CrossedPair pair;
+    if (crossed_pair(scene, s, at, true, pair)) blend(pair);
+    if (crossed_pair(scene, s, at, false, pair)) blend(pair);
+  }
+  TT3D_HD void operator()(int64_t i) const { (*this)(place_of(i, s)); }
+
+  TT3D_HD void blend(const CrossedPair& pair) const {
+    const int64_t channels = s.channels;
+    const Blend by = blend_of(pair.crossing);
+    const int64_t into = (by.into_a ? pair.a : pair.b) * channels;
+    const int64_t from = (by.into_a ? pair.b : pair.a) * channels;
+    for (int64_t c = 0; c < channels; ++c) {
+      accumulate(out + into + c, static_cast<T>(by.weight) * (color[from + c] - color[into + c]));
+    }
+  }
+};
+
+template <typename T>
+struct AntialiasBackwardPixel {
+  AntialiasScene<T> scene;
+  const T* color;
+  const T* grad_out;
+  T* grad_color;
+  T* grad_clip;  ///< may be null
+  Sizes s;
+  TT3D_HD void operator()(const PixelPlace& at) const {
+    CrossedPair pair;
+    if (crossed_pair(scene, s, at, true, pair)) spread(pair, at.view);
+    if (crossed_pair(scene, s, at, false, pair)) spread(pair, at.view);
+  }
+  TT3D_HD void operator()(int64_t i) const { (*this)(place_of(i, s)); }
+
+  TT3D_HD void spread(const CrossedPair& pair, int64_t view) const {
+    const int64_t channels = s.channels;
+    const Blend by = blend_of(pair.crossing);
+    const int64_t into = (by.into_a ? pair.a : pair.b) * channels;
+    const int64_t from = (by.into_a ? pair.b : pair.a) * channels;
+    double grad_weight = 0;
+    for (int64_t c = 0; c < channels; ++c) {
+      const T g = grad_out[into + c];
+      accumulate(grad_color + from + c, static_cast<T>(by.weight) * g);
+      accumulate(grad_color + into + c, -(static_cast<T>(by.weight) * g));
+      grad_weight += static_cast<double>(g * (color[from + c] - color[into + c]));
+    }
+    if (!grad_clip) return;
+    const int64_t first = view * s.vertices;
+    double grad0[4] = {}, grad1[4] = {};
+    crossing_backward(scene.clip + first * 4, pair.crossing, pair.ax, pair.ay, pair.bx, pair.by,
+                      grad_weight * by.slope, grad0, grad1);
+    for (int k = 0; k < 4; ++k) {
+      accumulate(grad_clip + (first + pair.crossing.v0) * 4 + k, static_cast<T>(grad0[k]));
+      accumulate(grad_clip + (first + pair.crossing.v1) * 4 + k, static_cast<T>(grad1[k]));
+    }
+  }
+};
 
 }  // namespace tt3d::raster

@@ -6,9 +6,10 @@
 #include <unordered_map>
 #include <vector>
 
-#include "raster_cpu.h"
+#include "raster_kernels.h"
+#include "tt3d/device.h"
 
-// The only file of the room with torch: checks, allocation, autograd.
+// The only file of the room with torch: checks, allocation, autograd, choice of the device.
 namespace tt3d {
 namespace {
 
@@ -34,6 +35,30 @@ raster::Sizes sizes_of(const Tensor& rast, const Tensor& faces, int64_t vertices
 #define TT3D_DISPATCH(TENSOR, NAME, ...) \
   AT_DISPATCH_FLOATING_TYPES((TENSOR).scalar_type(), NAME, __VA_ARGS__)
 
+template <typename T>
+void run_rasterize(const Cpu& on, const Tensor& clip, const Tensor& faces, const Tensor& rast,
+                   const raster::Sizes& s) {
+  raster::rasterize(on, clip.const_data_ptr<T>(), faces.const_data_ptr<int32_t>(),
+                    rast.mutable_data_ptr<T>(), s);
+}
+
+/// Count, prefix-sum, fill, draw. The length of all lists comes to the host, to allocate them.
+template <typename T>
+void run_rasterize(const Cuda& on, const Tensor& clip, const Tensor& faces, const Tensor& rast,
+                   const raster::Sizes& s) {
+  const auto* points = clip.const_data_ptr<T>();
+  const auto* triangles = faces.const_data_ptr<int32_t>();
+  Tensor begin = at::zeros({raster::tile_count(s) + 1}, clip.options().dtype(at::kLong));
+  raster::count_tile_faces(on, points, triangles, begin.mutable_data_ptr<int64_t>(), s);
+  const int64_t total = counts_to_begins(begin);
+  const Tensor list = at::empty({total}, faces.options());
+  const Tensor next = begin.clone();
+  raster::fill_tile_lists(on, points, triangles, next.mutable_data_ptr<int64_t>(),
+                          list.mutable_data_ptr<int32_t>(), s);
+  raster::draw_tiles(on, points, triangles, begin.const_data_ptr<int64_t>(),
+                     list.const_data_ptr<int32_t>(), rast.mutable_data_ptr<T>(), s);
+}
+
 struct Rasterize : public Function<Rasterize> {
   static Tensor forward(AutogradContext* ctx, const Tensor& clip_in, const Tensor& faces,
                         int64_t height, int64_t width) {
@@ -41,8 +66,8 @@ struct Rasterize : public Function<Rasterize> {
     Tensor rast = at::zeros({clip.size(0), height, width, 4}, clip.options());
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
     TT3D_DISPATCH(clip, "rasterize", [&] {
-      raster::rasterize_cpu(clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
-                            rast.mutable_data_ptr<scalar_t>(), s);
+      on_device_of(clip,
+                   [&](const auto& on) { run_rasterize<scalar_t>(on, clip, faces, rast, s); });
     });
     ctx->save_for_backward({clip, faces, rast});
     return rast;
@@ -54,10 +79,11 @@ struct Rasterize : public Function<Rasterize> {
     Tensor grad_clip = at::zeros_like(clip);
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
     TT3D_DISPATCH(clip, "rasterize_backward", [&] {
-      raster::rasterize_backward_cpu(
-          clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
-          rast.const_data_ptr<scalar_t>(), grad.const_data_ptr<scalar_t>(),
-          grad_clip.mutable_data_ptr<scalar_t>(), s);
+      const raster::RasterizeBackwardPixel<scalar_t> body = {
+          clip.const_data_ptr<scalar_t>(),        faces.const_data_ptr<int32_t>(),
+          rast.const_data_ptr<scalar_t>(),        grad.const_data_ptr<scalar_t>(),
+          grad_clip.mutable_data_ptr<scalar_t>(), s};
+      on_device_of(clip, [&](const auto& on) { raster::scatter(on, body); });
     });
     return {grad_clip, Tensor(), Tensor(), Tensor()};
   }
@@ -73,9 +99,10 @@ struct Interpolate : public Function<Interpolate> {
         at::zeros({rast.size(0), rast.size(1), rast.size(2), channels}, attributes.options());
     const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
     TT3D_DISPATCH(out, "interpolate", [&] {
-      raster::interpolate_cpu(attributes.const_data_ptr<scalar_t>(),
-                              rast.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
-                              out.mutable_data_ptr<scalar_t>(), s);
+      const raster::InterpolatePixel<scalar_t> body = {
+          attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
+          faces.const_data_ptr<int32_t>(), out.mutable_data_ptr<scalar_t>(), s};
+      for_each_index_on(out, s.pixels(), body);
     });
     ctx->save_for_backward({attributes, rast, faces});
     return out;
@@ -88,16 +115,32 @@ struct Interpolate : public Function<Interpolate> {
     if (ctx->needs_input_grad(0)) grad_attributes = at::zeros_like(attributes);
     if (ctx->needs_input_grad(1)) grad_rast = at::zeros_like(rast);
     const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), attributes.size(1));
+    const auto* indices = faces.const_data_ptr<int32_t>();
     TT3D_DISPATCH(grad, "interpolate_backward", [&] {
-      raster::interpolate_backward_cpu(
-          attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
-          faces.const_data_ptr<int32_t>(), grad.const_data_ptr<scalar_t>(),
-          grad_attributes.defined() ? grad_attributes.mutable_data_ptr<scalar_t>() : nullptr,
-          grad_rast.defined() ? grad_rast.mutable_data_ptr<scalar_t>() : nullptr, s);
+      const auto* points = attributes.const_data_ptr<scalar_t>();
+      const auto* shown = rast.const_data_ptr<scalar_t>();
+      const auto* g = grad.const_data_ptr<scalar_t>();
+      if (grad_rast.defined()) {
+        const raster::InterpolateBackwardRast<scalar_t> body = {
+            points, shown, indices, g, grad_rast.mutable_data_ptr<scalar_t>(), s};
+        for_each_index_on(grad, s.pixels(), body);
+      }
+      if (grad_attributes.defined()) {
+        const raster::InterpolateBackwardAttributes<scalar_t> body = {
+            shown, indices, g, grad_attributes.mutable_data_ptr<scalar_t>(), s};
+        on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
+      }
     });
     return {grad_attributes, grad_rast, Tensor()};
   }
 };
+
+template <typename T>
+raster::AntialiasScene<T> scene_of(const Tensor& rast, const Tensor& clip, const Tensor& faces,
+                                   const Tensor& opposites) {
+  return {rast.const_data_ptr<T>(), clip.const_data_ptr<T>(), faces.const_data_ptr<int32_t>(),
+          opposites.const_data_ptr<int32_t>()};
+}
 
 struct Antialias : public Function<Antialias> {
   static Tensor forward(AutogradContext* ctx, const Tensor& color_in, const Tensor& rast,
@@ -107,10 +150,10 @@ struct Antialias : public Function<Antialias> {
     Tensor out = color.clone();
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
     TT3D_DISPATCH(out, "antialias", [&] {
-      raster::antialias_cpu(color.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
-                            clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
-                            opposites.const_data_ptr<int32_t>(), out.mutable_data_ptr<scalar_t>(),
-                            s);
+      const raster::AntialiasPixel<scalar_t> body = {
+          scene_of<scalar_t>(rast, clip, faces, opposites), color.const_data_ptr<scalar_t>(),
+          out.mutable_data_ptr<scalar_t>(), s};
+      on_device_of(out, [&](const auto& on) { raster::scatter(on, body); });
     });
     ctx->save_for_backward({color, rast, clip, faces, opposites});
     return out;
@@ -124,12 +167,14 @@ struct Antialias : public Function<Antialias> {
     if (ctx->needs_input_grad(2)) grad_clip = at::zeros_like(clip);
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
     TT3D_DISPATCH(grad, "antialias_backward", [&] {
-      raster::antialias_backward_cpu(
-          color.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
-          clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
-          saved[4].const_data_ptr<int32_t>(), grad.const_data_ptr<scalar_t>(),
+      const raster::AntialiasBackwardPixel<scalar_t> body = {
+          scene_of<scalar_t>(rast, clip, faces, saved[4]),
+          color.const_data_ptr<scalar_t>(),
+          grad.const_data_ptr<scalar_t>(),
           grad_color.mutable_data_ptr<scalar_t>(),
-          grad_clip.defined() ? grad_clip.mutable_data_ptr<scalar_t>() : nullptr, s);
+          grad_clip.defined() ? grad_clip.mutable_data_ptr<scalar_t>() : nullptr,
+          s};
+      on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
     return {grad_color, Tensor(), grad_clip, Tensor(), Tensor()};
   }
@@ -157,15 +202,20 @@ void fold_mipmap_gradients(std::vector<Tensor>& grads) {
 }
 
 template <typename T>
-std::vector<raster::MipLevel<T>> level_views(const std::vector<Tensor>& chain,
-                                             const std::vector<Tensor>& grads) {
-  std::vector<raster::MipLevel<T>> levels;
+raster::MipChain<T> chain_of(const std::vector<Tensor>& chain, const std::vector<Tensor>& grads) {
+  raster::MipChain<T> levels = {};
+  levels.count = static_cast<int64_t>(chain.size());
   for (size_t i = 0; i < chain.size(); ++i) {
-    levels.push_back({const_cast<T*>(chain[i].const_data_ptr<T>()),
-                      i < grads.size() ? grads[i].mutable_data_ptr<T>() : nullptr, chain[i].size(0),
-                      chain[i].size(1)});
+    levels.level[i] = {chain[i].const_data_ptr<T>(),
+                       i < grads.size() ? grads[i].mutable_data_ptr<T>() : nullptr,
+                       chain[i].size(0), chain[i].size(1)};
   }
   return levels;
+}
+
+template <typename T>
+const T* derivatives_of(const Tensor& derivatives) {
+  return derivatives.numel() > 0 ? derivatives.const_data_ptr<T>() : nullptr;
 }
 
 struct Texture : public Function<Texture> {
@@ -177,11 +227,11 @@ struct Texture : public Function<Texture> {
         at::zeros({uv.size(0), uv.size(1), uv.size(2), texture_in.size(2)}, texture_in.options());
     const raster::Sizes s = {uv.size(0), 0, 0, uv.size(1), uv.size(2), texture_in.size(2)};
     TT3D_DISPATCH(out, "texture", [&] {
-      const auto levels = level_views<scalar_t>(chain, {});
-      raster::texture_cpu(
-          levels.data(), static_cast<int64_t>(levels.size()), uv.const_data_ptr<scalar_t>(),
-          derivatives.numel() > 0 ? derivatives.const_data_ptr<scalar_t>() : nullptr,
-          rast.const_data_ptr<scalar_t>(), out.mutable_data_ptr<scalar_t>(), s);
+      const raster::TexturePixel<scalar_t> body = {
+          chain_of<scalar_t>(chain, {}),         uv.const_data_ptr<scalar_t>(),
+          derivatives_of<scalar_t>(derivatives), rast.const_data_ptr<scalar_t>(),
+          out.mutable_data_ptr<scalar_t>(),      s};
+      for_each_index_on(out, s.pixels(), body);
     });
     variable_list saved = {uv, rast, derivatives};
     saved.insert(saved.end(), chain.begin(), chain.end());
@@ -200,12 +250,14 @@ struct Texture : public Function<Texture> {
     }
     const raster::Sizes s = {uv.size(0), 0, 0, uv.size(1), uv.size(2), grad.size(3)};
     TT3D_DISPATCH(grad, "texture_backward", [&] {
-      const auto levels = level_views<scalar_t>(chain, grads);
-      raster::texture_backward_cpu(
-          levels.data(), static_cast<int64_t>(levels.size()), uv.const_data_ptr<scalar_t>(),
-          derivatives.numel() > 0 ? derivatives.const_data_ptr<scalar_t>() : nullptr,
-          rast.const_data_ptr<scalar_t>(), grad.const_data_ptr<scalar_t>(),
-          grad_uv.mutable_data_ptr<scalar_t>(), s);
+      const raster::TextureBackwardPixel<scalar_t> body = {chain_of<scalar_t>(chain, grads),
+                                                           uv.const_data_ptr<scalar_t>(),
+                                                           derivatives_of<scalar_t>(derivatives),
+                                                           rast.const_data_ptr<scalar_t>(),
+                                                           grad.const_data_ptr<scalar_t>(),
+                                                           grad_uv.mutable_data_ptr<scalar_t>(),
+                                                           s};
+      on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
     if (!grads.empty()) fold_mipmap_gradients(grads);
     return {grads.empty() ? Tensor() : grads[0], grad_uv, Tensor(), Tensor()};
@@ -219,6 +271,7 @@ Tensor rasterize(const Tensor& clip, const Tensor& faces, int64_t height, int64_
   check_indices(faces, "faces");
   // float32 holds integers exactly up to 2^24, and the triangle's number travels as a float.
   TORCH_CHECK(faces.size(0) < (1 << 24), "at most 2^24 - 1 faces");
+  check_same_device("rasterize", {clip, faces});
   return Rasterize::apply(clip, faces, height, width);
 }
 
@@ -226,6 +279,7 @@ Tensor interpolate(const Tensor& attributes, const Tensor& rast, const Tensor& f
   TORCH_CHECK(attributes.dim() == 2, "attributes must be [V,C]");
   check_rast(rast);
   check_indices(faces, "faces");
+  check_same_device("interpolate", {attributes, rast, faces});
   return Interpolate::apply(attributes, rast, faces);
 }
 
@@ -233,6 +287,7 @@ Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
                              const Tensor& clip_in, const Tensor& faces) {
   check_rast(rast_in);
   check_indices(faces, "faces");
+  check_same_device("attribute_derivatives", {attributes_in, rast_in, clip_in, faces});
   const Tensor attributes = attributes_in.detach().contiguous();
   const Tensor rast = rast_in.detach().contiguous(), clip = clip_in.detach().contiguous();
   const int64_t channels = attributes.size(1);
@@ -240,16 +295,18 @@ Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
       at::zeros({rast.size(0), rast.size(1), rast.size(2), 2 * channels}, attributes.options());
   const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
   TT3D_DISPATCH(out, "attribute_derivatives", [&] {
-    raster::attribute_derivatives_cpu(
+    const raster::AttributeDerivativesPixel<scalar_t> body = {
         attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
-        clip.const_data_ptr<scalar_t>(), faces.const_data_ptr<int32_t>(),
-        out.mutable_data_ptr<scalar_t>(), s);
+        clip.const_data_ptr<scalar_t>(),       faces.const_data_ptr<int32_t>(),
+        out.mutable_data_ptr<scalar_t>(),      s};
+    for_each_index_on(out, s.pixels(), body);
   });
   return out;
 }
 
-Tensor edge_opposites(const Tensor& faces) {
-  check_indices(faces, "faces");
+Tensor edge_opposites(const Tensor& faces_in) {
+  check_indices(faces_in, "faces");
+  const Tensor faces = faces_in.cpu();  // once a mesh, not once a step
   struct Sides {
     int32_t count = 0;
     int32_t opposite_sum = 0;  // of the first two; own one is subtracted to find the other
@@ -277,7 +334,7 @@ Tensor edge_opposites(const Tensor& faces) {
       out[3 * i + k] = sides.count == 2 ? sides.opposite_sum - f[3 * i + k] : -1;
     }
   }
-  return opposites;
+  return opposites.to(faces_in.device());
 }
 
 Tensor antialias(const Tensor& color, const Tensor& rast, const Tensor& clip, const Tensor& faces,
@@ -286,6 +343,7 @@ Tensor antialias(const Tensor& color, const Tensor& rast, const Tensor& clip, co
   check_rast(rast);
   check_indices(faces, "faces");
   check_indices(opposites, "opposites");
+  check_same_device("antialias", {color, rast, clip, faces, opposites});
   return Antialias::apply(color, rast.detach().contiguous(), clip, faces, opposites);
 }
 
@@ -294,6 +352,9 @@ Tensor texture(const Tensor& texture, const Tensor& uv, const Tensor& uv_derivat
   TORCH_CHECK(texture.dim() == 3, "texture must be [H,W,C]");
   TORCH_CHECK(uv.dim() == 4 && uv.size(3) == 2, "uv must be [N,h,w,2]");
   check_rast(rast);
+  check_same_device("texture", {texture, uv, uv_derivatives, rast});
+  TORCH_CHECK(texture.size(0) <= (1 << 23) && texture.size(1) <= (1 << 23),
+              "texture sides must be at most 2^23");
   // Autograd wants defined tensors: an empty one stands for "no mipmaps".
   const Tensor derivatives =
       uv_derivatives.defined() ? uv_derivatives.contiguous() : at::empty({0}, uv.options());

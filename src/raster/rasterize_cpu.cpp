@@ -2,8 +2,8 @@
 #include <limits>
 #include <vector>
 
-#include "raster_cpu.h"
-#include "rasterize_math.h"
+#include "raster_kernels.h"
+#include "tt3d/device.h"
 
 // Compiled with -ffp-contract=off: both triangles at an edge must see the same bits.
 namespace tt3d::raster {
@@ -96,7 +96,7 @@ void draw_tile(const T* clip, const int32_t* faces, const TileLists& lists, int6
 }  // namespace
 
 template <typename T>
-void rasterize_cpu(const T* clip, const int32_t* faces, T* rast, const Sizes& s) {
+void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const Sizes& s) {
   const int64_t tiles_x = (s.width + kTile - 1) / kTile;
   const int64_t tiles_y = (s.height + kTile - 1) / kTile;
   const int64_t tiles = tiles_x * tiles_y;
@@ -116,33 +116,16 @@ void rasterize_cpu(const T* clip, const int32_t* faces, T* rast, const Sizes& s)
 }
 
 template <typename T>
-void rasterize_backward_cpu(const T* clip, const int32_t* faces, const T* rast, const T* grad_rast,
-                            T* grad_clip, const Sizes& s) {
-  at::parallel_for(0, s.views, 1, [&](int64_t first, int64_t last) {
-    for (int64_t i = first * s.height * s.width; i < last * s.height * s.width; ++i) {
-      const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
-      const double grad_u = static_cast<double>(grad_rast[4 * i]);
-      const double grad_v = static_cast<double>(grad_rast[4 * i + 1]);
-      if (face < 0 || (grad_u == 0 && grad_v == 0)) continue;
-      const int64_t n = i / (s.height * s.width);
-      const int64_t row = i / s.width % s.height;
-      const int32_t* triangle = faces + 3 * face;
-      double grad[3][4] = {};
-      rasterize_backward(clip + n * s.vertices * 4, triangle, pixel_x(i % s.width, s.width),
-                         pixel_y(row, s.height), grad_u, grad_v, grad);
-      for (int k = 0; k < 3; ++k) {
-        T* out = grad_clip + (n * s.vertices + triangle[k]) * 4;
-        for (int c = 0; c < 4; ++c) out[c] += static_cast<T>(grad[k][c]);
-      }
-    }
+void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body) {
+  const int64_t pixels = body.s.height * body.s.width;
+  at::parallel_for(0, body.s.views, 1, [&](int64_t first, int64_t last) {
+    for (int64_t i = first * pixels; i < last * pixels; ++i) body(i);
   });
 }
 
-template void rasterize_cpu(const float*, const int32_t*, float*, const Sizes&);
-template void rasterize_cpu(const double*, const int32_t*, double*, const Sizes&);
-template void rasterize_backward_cpu(const float*, const int32_t*, const float*, const float*,
-                                     float*, const Sizes&);
-template void rasterize_backward_cpu(const double*, const int32_t*, const double*, const double*,
-                                     double*, const Sizes&);
+template void rasterize(const Cpu&, const float*, const int32_t*, float*, const Sizes&);
+template void rasterize(const Cpu&, const double*, const int32_t*, double*, const Sizes&);
+template void scatter(const Cpu&, const RasterizeBackwardPixel<float>&);
+template void scatter(const Cpu&, const RasterizeBackwardPixel<double>&);
 
 }  // namespace tt3d::raster

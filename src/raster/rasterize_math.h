@@ -3,10 +3,26 @@
 #include <cmath>
 #include <cstdint>
 
-#include "tt3d/device.h"
+#include "tt3d/kernel.h"
 
 /// Bodies of rasterize: one triangle, one pixel. No tensor library here.
 namespace tt3d::raster {
+
+/// Sizes shared by the operators.
+struct Sizes {
+  int64_t views, vertices, faces, height, width, channels;
+  [[nodiscard]] TT3D_HD int64_t pixels() const { return views * height * width; }
+};
+
+/// Where pixel i of all views lies.
+struct PixelPlace {
+  int64_t view, row, column;
+};
+
+TT3D_HD PixelPlace place_of(int64_t i, const Sizes& s) {
+  const int64_t line = i / s.width;
+  return {line / s.height, line % s.height, i % s.width};
+}
 
 /// A vertex in clip space, in the type of the computation.
 struct ClipVertex {
@@ -134,6 +150,12 @@ TT3D_HD bool hit_triangle(const TriangleSetup& t, double px, double py, Hit& hit
   return hit.zw >= -1 && hit.zw <= 1;
 }
 
+/// Whether a hit hides what a pixel shows so far: the nearest wins, at equal depth the lower index,
+/// whatever the order in which the triangles come.
+TT3D_HD bool hides(double depth, int64_t face, double shown_depth, int64_t shown_face) {
+  return depth < shown_depth || (depth == shown_depth && face < shown_face);
+}
+
 /// Backward of one pixel's (u,v): adds to grad[3][4], the gradients of the triangle's vertices.
 /// With p' = p.xy - P p.w and a_k = cross of the other two p', u = a_0/sum a, v = a_1/sum a.
 template <typename T>
@@ -164,6 +186,32 @@ TT3D_HD void rasterize_backward(const T* clip, const int32_t* face, double px, d
     grad[k][3] -= px * gx + py * gy;
   }
 }
+
+/// Body of rasterize's backward pass: pixel i adds to its triangle's vertices.
+template <typename T>
+struct RasterizeBackwardPixel {
+  const T* clip;
+  const int32_t* faces;
+  const T* rast;
+  const T* grad_rast;
+  T* grad_clip;
+  Sizes s;
+  TT3D_HD void operator()(int64_t i) const {
+    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
+    const double grad_u = static_cast<double>(grad_rast[4 * i]);
+    const double grad_v = static_cast<double>(grad_rast[4 * i + 1]);
+    if (face < 0 || (grad_u == 0 && grad_v == 0)) return;
+    const PixelPlace at = place_of(i, s);
+    const int32_t* triangle = faces + 3 * face;
+    double grad[3][4] = {};
+    rasterize_backward(clip + at.view * s.vertices * 4, triangle, pixel_x(at.column, s.width),
+                       pixel_y(at.row, s.height), grad_u, grad_v, grad);
+    for (int k = 0; k < 3; ++k) {
+      T* out = grad_clip + (at.view * s.vertices + triangle[k]) * 4;
+      for (int c = 0; c < 4; ++c) accumulate(out + c, static_cast<T>(grad[k][c]));
+    }
+  }
+};
 
 /// Derivatives of (u,v) with respect to the pixel's position, per pixel, y down.
 /// out = {du/dx, du/dy, dv/dx, dv/dy}.

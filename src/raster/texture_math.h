@@ -3,9 +3,9 @@
 #include <cmath>
 #include <cstdint>
 
-#include "tt3d/device.h"
+#include "rasterize_math.h"
 
-/// Body of texture: one look-up.
+/// Bodies of texture: one look-up.
 namespace tt3d::raster {
 
 /// Bilinear footprint of a point in one mipmap level: four texels and their weights.
@@ -48,5 +48,102 @@ TT3D_HD double mip_level(const double d[4], int64_t height, int64_t width, int64
   const auto last = static_cast<double>(levels - 1);
   return level < last ? level : last;
 }
+
+/// One level of a mipmap chain.
+template <typename T>
+struct MipLevel {
+  const T* texels;  ///< [height,width,C]
+  T* grad;          ///< same shape, or null
+  int64_t height, width;
+};
+
+/// A chain small enough to travel as a kernel's argument: sides up to 2^23 texels.
+template <typename T>
+struct MipChain {
+  static constexpr int64_t kMaxLevels = 24;
+  MipLevel<T> level[kMaxLevels];
+  int64_t count;
+};
+
+/// The two levels of a look-up and the share of the coarser one.
+struct LevelBlend {
+  int64_t fine, coarse;
+  double share;
+};
+
+template <typename T>
+TT3D_HD LevelBlend blend_levels(const MipChain<T>& levels, const T* derivatives, int64_t i) {
+  if (derivatives == nullptr) return {0, 0, 0.0};
+  double d[4];
+  for (int k = 0; k < 4; ++k) d[k] = static_cast<double>(derivatives[4 * i + k]);
+  const double level = mip_level(d, levels.level[0].height, levels.level[0].width, levels.count);
+  const auto fine = static_cast<int64_t>(level);
+  const int64_t coarse = fine + 1 < levels.count ? fine + 1 : levels.count - 1;
+  return {fine, coarse, level - static_cast<double>(fine)};
+}
+
+template <typename T>
+struct TexturePixel {
+  MipChain<T> levels;
+  const T* uv;
+  const T* derivatives;  ///< null: no mipmaps
+  const T* rast;
+  T* out;
+  Sizes s;
+  TT3D_HD void operator()(int64_t i) const {
+    if (rast[4 * i + 3] == T(0)) return;
+    const LevelBlend blend = blend_levels(levels, derivatives, i);
+    for (int pass = 0; pass < 2; ++pass) {
+      const double share = pass == 0 ? 1 - blend.share : blend.share;
+      if (share == 0) continue;
+      const MipLevel<T>& level = levels.level[pass == 0 ? blend.fine : blend.coarse];
+      const Footprint f =
+          footprint_of(static_cast<double>(uv[2 * i]), static_cast<double>(uv[2 * i + 1]),
+                       level.height, level.width);
+      for (int k = 0; k < 4; ++k) {
+        const T weight = static_cast<T>(share * f.weight[k]);
+        for (int64_t c = 0; c < s.channels; ++c) {
+          out[i * s.channels + c] += weight * level.texels[f.texel[k] * s.channels + c];
+        }
+      }
+    }
+  }
+};
+
+/// Adds to the levels' gradients where they are wanted; overwrites grad_uv.
+template <typename T>
+struct TextureBackwardPixel {
+  MipChain<T> levels;
+  const T* uv;
+  const T* derivatives;
+  const T* rast;
+  const T* grad_out;
+  T* grad_uv;
+  Sizes s;
+  TT3D_HD void operator()(int64_t i) const {
+    if (rast[4 * i + 3] == T(0)) return;
+    const LevelBlend blend = blend_levels(levels, derivatives, i);
+    double du = 0, dv = 0;
+    for (int pass = 0; pass < 2; ++pass) {
+      const double share = pass == 0 ? 1 - blend.share : blend.share;
+      if (share == 0) continue;
+      const MipLevel<T>& level = levels.level[pass == 0 ? blend.fine : blend.coarse];
+      const Footprint f =
+          footprint_of(static_cast<double>(uv[2 * i]), static_cast<double>(uv[2 * i + 1]),
+                       level.height, level.width);
+      for (int k = 0; k < 4; ++k) {
+        for (int64_t c = 0; c < s.channels; ++c) {
+          const auto g = static_cast<double>(grad_out[i * s.channels + c]) * share;
+          const int64_t texel = f.texel[k] * s.channels + c;
+          du += g * f.du[k] * static_cast<double>(level.texels[texel]);
+          dv += g * f.dv[k] * static_cast<double>(level.texels[texel]);
+          if (level.grad) accumulate(level.grad + texel, static_cast<T>(g * f.weight[k]));
+        }
+      }
+    }
+    grad_uv[2 * i] = static_cast<T>(du);
+    grad_uv[2 * i + 1] = static_cast<T>(dv);
+  }
+};
 
 }  // namespace tt3d::raster

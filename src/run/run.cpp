@@ -116,6 +116,7 @@ void Run::save() const {
                   {"seed", config_.seed},
                   {"versions", {{"tt3d", kVersion}, {"torch", "2.11.0"}}},
                   {"threads", at::get_num_threads()},
+                  {"device", device_.str()},
                   {"inputs", input_hashes_},
                   {"stages", stages}};
   write_file_atomic(folder_ / kRunFile, j.dump(1) + "\n");

@@ -63,7 +63,9 @@ void Run::run_field(Progress& progress) {
   const fs::path folder = folder_ / "field";
   const Capture& photos = capture(progress);
   const fs::path checkpoint = folder / "checkpoint.safetensors";
-  const RadianceField field = fit_field(photos, config_.field, config_.seed, checkpoint, progress);
+  FieldOptions options = config_.field;
+  options.device = device_;
+  const RadianceField field = fit_field(photos, options, config_.seed, checkpoint, progress);
   const double step = ray_step(config_.field);
   const double psnr = mean_psnr(
       photos.test, [&](const Camera& camera) { return render_field(field, camera, step); },
@@ -76,7 +78,8 @@ void Run::run_field(Progress& progress) {
 void Run::run_mesh(Progress& progress) {
   const fs::path folder = folder_ / "mesh";
   const Capture& photos = capture(progress);
-  const RadianceField field = RadianceField::load(folder_ / "field" / "field.safetensors");
+  const RadianceField field =
+      RadianceField::load(folder_ / "field" / "field.safetensors").to(device_);
   const fs::path checkpoint = folder / "checkpoint.safetensors";
   const TriMesh extracted = extract_mesh(field, config_.mesh, progress);
   const RefinedMesh refined = refine_mesh(extracted, field.appearance, photos, config_.mesh,
@@ -100,8 +103,8 @@ void Run::run_attack_stage(Progress& progress) {
   if (config_.attack_target.empty()) throw InputError("attack.target: expected a class");
   const AttackResult clean = load_attack(folder_ / "mesh" / "mesh.safetensors");
   AttackInput input;
-  input.mesh = clean.mesh;
-  input.appearance = clean.appearance;
+  input.mesh = clean.mesh.to(device_);
+  input.appearance = clean.appearance.to(device_);
   input.frame = capture_view_frame(capture(progress));
   for (const std::string& name : config_.attack_surrogates) {
     const auto model = Classifier::load(name, {}, &progress);
@@ -137,14 +140,16 @@ void Run::run_bake(Progress& progress) {
     asset.uvs = atlas.uvs;
     asset.uv_faces = atlas.uv_faces;
     // Colours sit on the rest surface, which the clean mesh is.
-    asset.texture = bake_texture(atlas, clean.mesh.vertices, clean.mesh.faces,
-                                 [&](const Tensor& x) { return result->appearance.color(x); });
+    const Appearance appearance = result->appearance.to(device_);
+    asset.texture =
+        bake_texture(atlas, clean.mesh.vertices, clean.mesh.faces,
+                     [&](const Tensor& x) { return appearance.color(x.to(device_)).cpu(); });
     write_glb(asset, folder / (std::string(name) + ".glb"));
     write_obj(asset, folder / (std::string(name) + ".obj"));
     progress.update(++done, {});
   }
   progress.end();
-  const AssetRenderer renderer(load_asset(folder / "clean.glb"));
+  const AssetRenderer renderer(load_asset(folder / "clean.glb"), device_);
   const double psnr = mean_psnr(
       photos.test,
       [&](const Camera& camera) { return renderer.render({world_camera(camera, n)})[0]; },
@@ -166,6 +171,7 @@ void Run::run_evaluate(Progress& progress) {
   options.size = config_.evaluate_size;
   options.background = config_.evaluate_background;
   options.seed = config_.seed;
+  options.device = device_;
   write_record(evaluate_asset(options, progress), folder_ / "eval" / "builtin.json");
 }
 

@@ -73,7 +73,8 @@ struct AttackOptions {
   int64_t checkpoint_every = 50;
 };
 
-/// The shape and look that the attack changes, and the models it may see.
+/// The shape and look that the attack changes, and the models it may see. Mesh and appearance lie
+/// on the device that it runs on; the models follow.
 struct AttackInput {
   TriMesh mesh;
   Appearance appearance;

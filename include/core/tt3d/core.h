@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "tt3d/error.h"
+#include "tt3d/philox.h"
 
 /// What every room shares: progress and cancel, seeded random streams, atomic files, hashes,
 /// child processes. The library never prints; it reports through Progress.
@@ -62,12 +63,17 @@ class Random {
   double normal();
   /// Uniform integer in [0, n); n > 0.
   int64_t index(int64_t n);
+  /// The stream from its beginning, for kernels.
+  [[nodiscard]] RandomKey key() const { return key_; }
+  /// Words drawn so far.
+  [[nodiscard]] uint64_t position() const {
+    return 4 * counter_ + static_cast<uint64_t>(used_) - 4;
+  }
 
  private:
-  uint64_t key_;
-  uint64_t step_;
+  RandomKey key_;
   uint64_t counter_ = 0;
-  uint32_t block_[4] = {};
+  RandomBlock block_{};
   int used_ = 4;
 };
 

@@ -1,39 +1,19 @@
 #pragma once
 
 #include <ATen/Parallel.h>
+#include <ATen/core/Tensor.h>
+#include <c10/core/DeviceGuard.h>
 
+#include <algorithm>
 #include <cstdint>
+#include <initializer_list>
+#include <string>
 
-/// One maths body for CPU and CUDA (design, section 4): TT3D_HD marks functions that compile for
-/// both, TensorView is what they take instead of tensors, and the loops below execute them.
+#include "tt3d/kernel.h"
 
-#ifdef __CUDACC__
-#define TT3D_HD __host__ __device__ __forceinline__
-#else
-#define TT3D_HD inline __attribute__((always_inline))
-#endif
-
-/// Marks the CPU loop of a kernel: compiled for AVX-512, AVX2 and plain x86-64, the best one the
-/// machine has chosen at load time.
-#if defined(__x86_64__) && !defined(__CUDACC__) && !defined(__clang__) && \
-    !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#define TT3D_CPU_LOOP __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
-#else
-#define TT3D_CPU_LOOP
-#endif
-
+/// One maths body for CPU and CUDA (design, section 4): tt3d/kernel.h has what bodies are made of,
+/// this header the CPU's loops and the choice of the device, tt3d/cuda.h the GPU's loop.
 namespace tt3d {
-
-/// A pointer with a row length: element (i, j) of a dense row-major matrix. Knows no tensor
-/// library, so kernel bodies stay free of it.
-template <typename T>
-struct TensorView {
-  T* data = nullptr;
-  int64_t rows = 0;
-  int64_t cols = 0;
-  TT3D_HD T& operator()(int64_t i, int64_t j) const { return data[i * cols + j]; }
-  TT3D_HD T* row(int64_t i) const { return data + i * cols; }
-};
 
 /// Calls `body(begin, end)` over [0, n) in chunks of exactly `chunk` items (the last may be
 /// shorter), whatever the number of threads: per-chunk results that are combined in chunk order
@@ -53,5 +33,48 @@ void for_each_index(int64_t n, const Body& body) {
     for (int64_t i = first; i < last; ++i) body(i);
   });
 }
+
+template <typename Body>
+void for_each_index(const Cpu&, int64_t n, const Body& body) {
+  for_each_index(n, body);
+}
+
+// ---- Choice of the device -----------------------------------------------------------------
+
+/// The device that "auto", "cpu" or "cuda" stands for: auto takes the GPU where there is one.
+/// Throws InputError for "cuda" in a build without CUDA executors, or where no GPU is visible.
+[[nodiscard]] at::Device device_named(const std::string& name);
+
+/// The GPU's executor on torch's current stream. Throws InputError in a build without CUDA.
+[[nodiscard]] Cuda current_cuda();
+
+/// Throws c10::Error unless all tensors (undefined ones aside) are on the first one's device.
+void check_same_device(const char* name, std::initializer_list<at::Tensor> tensors);
+
+/// Calls `body` with the executor of the tensor's device. The one place where kernels branch on it.
+template <typename Body>
+void on_device_of(const at::Tensor& tensor, const Body& body) {
+  if (tensor.is_cpu()) {
+    body(Cpu{});
+    return;
+  }
+#ifdef TT3D_CUDA
+  const c10::DeviceGuard guard(tensor.device());
+  body(current_cuda());
+#else
+  (void)current_cuda();  // throws
+#endif
+}
+
+/// Calls `body(i)` for every i in [0, n) on the tensor's device; for independent items, and for
+/// sums where the order may be any (accumulate).
+template <typename Body>
+void for_each_index_on(const at::Tensor& tensor, int64_t n, const Body& body) {
+  on_device_of(tensor, [&](const auto& on) { for_each_index(on, n, body); });
+}
+
+/// Turns counts [n + 1] int64, element 0 being 0, into the begins of the items' lists; returns the
+/// length of them all.
+int64_t counts_to_begins(at::Tensor& counts);
 
 }  // namespace tt3d

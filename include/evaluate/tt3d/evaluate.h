@@ -31,7 +31,8 @@ void write_view_frame(const ViewFrame& frame, const std::filesystem::path& folde
 /// trilinear texture look-up, antialiased silhouettes. Cameras share one picture size.
 class AssetRenderer {
  public:
-  explicit AssetRenderer(const TexturedMesh& asset);
+  /// Renders on `device`, where the pictures come from too.
+  explicit AssetRenderer(const TexturedMesh& asset, at::Device device = at::kCPU);
   [[nodiscard]] at::Tensor render(const std::vector<Camera>& cameras) const;
 
  private:
@@ -68,6 +69,7 @@ struct EvaluateOptions {
   int size = 400;
   std::string background = "white";
   uint64_t seed = 0;  ///< views are drawn from a stream of their own, apart from training's
+  at::Device device = at::kCPU;  ///< where pictures are rendered and victims run
 };
 
 /// A victim's answer to one view.
@@ -116,6 +118,6 @@ void write_record(const EvalRecord& record, const std::filesystem::path& json_pa
 /// and transforms_train.json (the same views), so that it can be read back as a capture.
 void render_to_folder(const std::filesystem::path& asset, const std::string& distribution,
                       int64_t count, int size, uint64_t seed, const std::filesystem::path& out,
-                      Progress& progress);
+                      Progress& progress, at::Device device = at::kCPU);
 
 }  // namespace tt3d

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <ATen/core/Tensor.h>
+#include <c10/core/Device.h>
 
 #include <cstdint>
 #include <filesystem>
@@ -103,6 +104,8 @@ struct Appearance {
   [[nodiscard]] std::vector<at::Tensor> parameters() const;
   /// A deep copy.
   [[nodiscard]] Appearance clone() const;
+  /// The same on a device, without gradient; shares memory where it is there already.
+  [[nodiscard]] Appearance to(at::Device device) const;
 };
 
 /// The radiance field: density from the geometry grid, colour from the appearance.
@@ -124,6 +127,9 @@ struct RadianceField {
                                  bool with_specular, at::Tensor* specular_out = nullptr) const;
   /// All parameters in a fixed order.
   [[nodiscard]] std::vector<at::Tensor> parameters() const;
+  /// The same on a device, without gradient; shares memory where it is there already.
+  [[nodiscard]] RadianceField to(at::Device device) const;
+  [[nodiscard]] at::Device device() const { return geometry_grid.device(); }
 
   void save(const std::filesystem::path& path) const;
   /// Throws InputError for a file that is not such a field.
@@ -143,6 +149,7 @@ struct FieldOptions {
   double specular_weight = 1e-5;
   double tv_weight = 1e-8;
   int64_t checkpoint_every = 250;
+  at::Device device = at::kCPU;  ///< where it trains; the result lies there
 };
 
 /// Renders a camera's view: [H,W,4] premultiplied colour and alpha, no gradient.

@@ -13,11 +13,15 @@
 
 /// From a radiance field to a closed, manifold triangle mesh, refined against the photographs.
 /// Meshes: vertices [V,3] float32 in [-1,1]^3, faces [F,3] int32 counter-clockwise from outside.
+/// Functions that change a mesh's structure work on the host and give a mesh on the host; rendering
+/// and regularisers work on the device of their tensors.
 namespace tt3d {
 
 struct TriMesh {
   at::Tensor vertices;  ///< [V,3] float32
   at::Tensor faces;     ///< [F,3] int32
+  /// The same on a device, without gradient; shares memory where it is there already.
+  [[nodiscard]] TriMesh to(at::Device device) const;
 };
 
 /// What a mesh is, counted on its index structure.
@@ -143,7 +147,8 @@ struct RefinedMesh {
 };
 
 /// Optimises vertices and appearance (its diffuse part alone: what is exported) against the
-/// training photographs; splits faces with the worst error and thins those with the best.
+/// training photographs; splits faces with the worst error and thins those with the best. Works on
+/// the appearance's device, and leaves the result there.
 /// Resumes from `checkpoint` if it exists, to the same bytes. Throws NumericError.
 [[nodiscard]] RefinedMesh refine_mesh(const TriMesh& mesh, const Appearance& appearance,
                                       const Capture& capture, const MeshOptions& options,

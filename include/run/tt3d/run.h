@@ -83,6 +83,9 @@ class Run {
   [[nodiscard]] const RunConfig& config() const { return config_; }
   [[nodiscard]] const std::filesystem::path& folder() const { return folder_; }
   [[nodiscard]] const std::vector<StageRecord>& stages() const { return stages_; }
+  /// Where the stages compute; the CPU unless said otherwise. Not part of the configuration: a run
+  /// may go on on another device.
+  void use_device(at::Device device) { device_ = device; }
   /// Changes keys and forgets `first_stage` and all stages after it.
   void reconfigure(const std::vector<std::string>& assignments, const std::string& first_stage);
 
@@ -108,6 +111,7 @@ class Run {
 
   std::filesystem::path folder_;
   RunConfig config_;
+  at::Device device_ = at::kCPU;
   std::vector<StageRecord> stages_;
   std::map<std::string, std::string> input_hashes_;
   std::shared_ptr<Capture> capture_;

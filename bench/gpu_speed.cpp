@@ -1,0 +1,168 @@
+#include <ATen/ATen.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <functional>
+#include <iostream>
+#include <string>
+#include <vector>
+
+#include "support/shapes.h"
+#include "tt3d/attack.h"
+#include "tt3d/device.h"
+#include "tt3d/mesh.h"
+#include "tt3d/raster.h"
+
+// Times each operator, forward and backward, on the CPU and on the GPU, and prints rows of a
+// Markdown table: operator, size, milliseconds on both (median of the repetitions), their ratio.
+// Run by scripts/gpu-check.
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+/// Prepares inputs on a device and returns the work to time.
+using Case = std::function<std::function<void()>(at::Device)>;
+
+/// Waits for the device by bringing one number back.
+void wait_for(at::Device device) {
+  if (device.is_cuda()) (void)at::zeros({1}, at::TensorOptions().device(device)).item<float>();
+}
+
+double median_ms(const Case& prepare, at::Device device, int repetitions) {
+  const std::function<void()> work = prepare(device);
+  work();  // warm
+  wait_for(device);
+  std::vector<double> times;
+  for (int i = 0; i < repetitions; ++i) {
+    const double start = now_seconds();
+    work();
+    wait_for(device);
+    times.push_back(1e3 * (now_seconds() - start));
+  }
+  std::nth_element(times.begin(), times.begin() + repetitions / 2, times.end());
+  return times[static_cast<size_t>(repetitions / 2)];
+}
+
+void print_row(const std::string& name, const std::string& size, const Case& prepare,
+               at::Device gpu) {
+  const double cpu_ms = median_ms(prepare, at::kCPU, 3);
+  const double gpu_ms = median_ms(prepare, gpu, 20);
+  std::printf("| %s | %s | %.3f | %.3f | %.1f |\n", name.c_str(), size.c_str(), cpu_ms, gpu_ms,
+              cpu_ms / gpu_ms);
+  std::fflush(stdout);
+}
+
+Tensor random(at::IntArrayRef shape, double low, double high, uint64_t seed, at::Device device) {
+  return testing::uniform(shape, low, high, seed).to(device, at::kFloat);
+}
+
+/// Runs the function and goes back through it with a gradient of ones.
+std::function<void()> both_ways(std::vector<Tensor> inputs,
+                                std::function<Tensor(const std::vector<Tensor>&)> function) {
+  return [inputs, function] {
+    for (const Tensor& t : inputs) {
+      t.mutable_grad().reset();
+      t.requires_grad_(true);
+    }
+    const Tensor out = function(inputs);
+    out.backward(at::ones_like(out));
+  };
+}
+
+Case hash_case(int64_t points) {
+  return [points](at::Device device) {
+    const HashGridShape shape;
+    return both_ways({random({shape.entries(), 2}, -1, 1, 1, device)},
+                     [shape, x = random({points, 3}, -1, 1, 2, device)](const auto& in) {
+                       return hash_encode(x, in[0], shape);
+                     });
+  };
+}
+
+Case mlp_case(int64_t points) {
+  return [points](at::Device device) {
+    return both_ways({random({35, points}, -1, 1, 3, device), random({64, 35}, -1, 1, 4, device),
+                      random({64, 64}, -1, 1, 5, device), random({6, 64}, -1, 1, 6, device)},
+                     [](const auto& in) {
+                       return mlp(in[0], {in[1], in[2], in[3]});
+                     });
+  };
+}
+
+/// Rendering a sphere with a colour a vertex: rasterize, interpolate, antialias.
+Case render_case(int levels, int64_t size) {
+  return [levels, size](at::Device device) {
+    const testing::Shape shape = testing::sphere(levels);
+    const Tensor depth = 3 - shape.vertices.select(1, 2);
+    const Tensor clip = at::stack({shape.vertices.select(1, 0) * 1.8,
+                                   shape.vertices.select(1, 1) * 1.8, depth * 0.5, depth},
+                                  1)
+                            .unsqueeze(0)
+                            .to(device);
+    const Tensor faces = shape.faces.to(device), opposites = edge_opposites(faces);
+    return both_ways({clip, random({shape.vertices.size(0), 4}, 0, 1, 7, device)},
+                     [faces, opposites, size](const auto& in) {
+                       const Tensor rast = rasterize(in[0], faces, size, size);
+                       const Tensor color = interpolate(in[1], rast, faces);
+                       return antialias(color, rast, in[0], faces, opposites);
+                     });
+  };
+}
+
+Case texture_case(int64_t size) {
+  return [size](at::Device device) {
+    const Tensor rast = at::ones({1, size, size, 4}, at::TensorOptions().device(device));
+    const Tensor derivatives = random({1, size, size, 4}, -1e-3, 1e-3, 8, device);
+    return both_ways(
+        {random({2048, 2048, 3}, 0, 1, 9, device), random({1, size, size, 2}, 0, 1, 10, device)},
+        [rast, derivatives](const auto& in) { return texture(in[0], in[1], derivatives, rast); });
+  };
+}
+
+Case chamfer_case(int levels) {
+  return [levels](at::Device device) {
+    const testing::Shape shape = testing::sphere(levels);
+    const auto regularizer =
+        std::make_shared<MeshRegularizer>(TriMesh{shape.vertices, shape.faces}.to(device));
+    const Tensor moved =
+        shape.vertices.to(device) + random(shape.vertices.sizes(), -0.05, 0.05, 11, device);
+    return both_ways({moved},
+                     [regularizer](const auto& in) { return regularizer->chamfer(in[0]); });
+  };
+}
+
+Case transform_case(int64_t pictures) {
+  return [pictures](at::Device device) {
+    return both_ways({random({pictures, 4, 256, 256}, 0, 1, 12, device)}, [](const auto& in) {
+      return transform_images(in[0], 224, EotOptions{}, 1, 0);
+    });
+  };
+}
+
+void measure(at::Device gpu) {
+  std::printf(
+      "| forward and backward | size | CPU ms | CUDA ms | ratio |\n|---|---|---|---|---|\n");
+  print_row("hash encoding, 16 levels, F=2", "2^18 points", hash_case(1 << 18), gpu);
+  print_row("MLP 35-64-64-6", "2^18 points", mlp_case(1 << 18), gpu);
+  print_row("rasterize + interpolate + antialias", "32,768 faces, 400x400", render_case(6, 400),
+            gpu);
+  print_row("rasterize + interpolate + antialias", "524,288 faces, 2048x2048", render_case(8, 2048),
+            gpu);
+  print_row("texture with mipmaps, 2048x2048 texels", "1024x1024", texture_case(1024), gpu);
+  print_row("Chamfer, every vertex searched", "16,386 vertices", chamfer_case(6), gpu);
+  print_row("transforms of the attack", "8 pictures", transform_case(8), gpu);
+}
+
+}  // namespace
+}  // namespace tt3d
+
+int main() {
+  try {
+    tt3d::measure(tt3d::device_named("cuda"));
+  } catch (const std::exception& error) {
+    std::cerr << "gpu_speed: " << error.what() << "\n";
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,114 @@
+#pragma once
+
+#include "rasterize_math.h"
+
+/// Bodies of interpolate and attribute_derivatives: one pixel.
+namespace tt3d::raster {
+
+/// The attribute rows of a triangle's three vertices.
+template <typename T>
+struct Corners {
+  const T *a, *b, *c;
+};
+
+template <typename T>
+TT3D_HD Corners<T> corners_of(const T* attributes, const int32_t* faces, int64_t face,
+                              int64_t channels) {
+  return {attributes + faces[3 * face] * channels, attributes + faces[3 * face + 1] * channels,
+          attributes + faces[3 * face + 2] * channels};
+}
+
+template <typename T>
+struct InterpolatePixel {
+  const T* attributes;
+  const T* rast;
+  const int32_t* faces;
+  T* out;
+  Sizes s;
+  TT3D_HD void operator()(int64_t i) const {
+    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
+    if (face < 0) return;
+    const T u = rast[4 * i], v = rast[4 * i + 1];
+    const Corners<T> p = corners_of(attributes, faces, face, s.channels);
+    for (int64_t k = 0; k < s.channels; ++k) {
+      out[i * s.channels + k] = u * p.a[k] + v * p.b[k] + (1 - u - v) * p.c[k];
+    }
+  }
+};
+
+/// Gradient with respect to u and v.
+template <typename T>
+struct InterpolateBackwardRast {
+  const T* attributes;
+  const T* rast;
+  const int32_t* faces;
+  const T* grad_out;
+  T* grad_rast;
+  Sizes s;
+  TT3D_HD void operator()(int64_t i) const {
+    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
+    if (face < 0) return;
+    const Corners<T> p = corners_of(attributes, faces, face, s.channels);
+    T grad_u = 0, grad_v = 0;
+    for (int64_t k = 0; k < s.channels; ++k) {
+      const T g = grad_out[i * s.channels + k];
+      grad_u += g * (p.a[k] - p.c[k]);
+      grad_v += g * (p.b[k] - p.c[k]);
+    }
+    grad_rast[4 * i] = grad_u;
+    grad_rast[4 * i + 1] = grad_v;
+  }
+};
+
+/// Gradient with respect to the attributes of vertices [first,last).
+template <typename T>
+struct InterpolateBackwardAttributes {
+  const T* rast;
+  const int32_t* faces;
+  const T* grad_out;
+  T* grad_attributes;
+  Sizes s;
+  TT3D_HD void add(int64_t i, int64_t first, int64_t last) const {
+    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
+    if (face < 0) return;
+    const T u = rast[4 * i], v = rast[4 * i + 1];
+    const T weight[3] = {u, v, 1 - u - v};
+    for (int c = 0; c < 3; ++c) {
+      const int32_t vertex = faces[3 * face + c];
+      if (vertex < first || vertex >= last) continue;
+      T* out = grad_attributes + vertex * s.channels;
+      for (int64_t k = 0; k < s.channels; ++k) {
+        accumulate(out + k, weight[c] * grad_out[i * s.channels + k]);
+      }
+    }
+  }
+  TT3D_HD void operator()(int64_t i) const { add(i, 0, s.vertices); }
+};
+
+template <typename T>
+struct AttributeDerivativesPixel {
+  const T* attributes;
+  const T* rast;
+  const T* clip;
+  const int32_t* faces;
+  T* out;
+  Sizes s;
+  TT3D_HD void operator()(int64_t i) const {
+    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
+    if (face < 0) return;
+    const PixelPlace at = place_of(i, s);
+    double d[4];
+    barycentric_derivatives(clip + at.view * s.vertices * 4, faces + 3 * face,
+                            pixel_x(at.column, s.width), pixel_y(at.row, s.height), s.height,
+                            s.width, d);
+    const Corners<T> p = corners_of(attributes, faces, face, s.channels);
+    for (int64_t k = 0; k < s.channels; ++k) {
+      const double along_u = static_cast<double>(p.a[k] - p.c[k]);
+      const double along_v = static_cast<double>(p.b[k] - p.c[k]);
+      out[(i * s.channels + k) * 2] = static_cast<T>(along_u * d[0] + along_v * d[2]);
+      out[(i * s.channels + k) * 2 + 1] = static_cast<T>(along_u * d[1] + along_v * d[3]);
+    }
+  }
+};
+
+}  // namespace tt3d::raster

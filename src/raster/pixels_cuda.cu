@@ -1,0 +1,22 @@
+#include "raster_kernels.h"
+#include "tt3d/cuda.h"
+
+// The bodies that the GPU runs a pixel a thread.
+namespace tt3d {
+
+#define TT3D_INSTANTIATE(T)                                                                        \
+  template void for_each_index(const Cuda&, int64_t, const raster::RasterizeBackwardPixel<T>&);    \
+  template void for_each_index(const Cuda&, int64_t, const raster::InterpolatePixel<T>&);          \
+  template void for_each_index(const Cuda&, int64_t, const raster::InterpolateBackwardRast<T>&);   \
+  template void for_each_index(const Cuda&, int64_t,                                               \
+                               const raster::InterpolateBackwardAttributes<T>&);                   \
+  template void for_each_index(const Cuda&, int64_t, const raster::AttributeDerivativesPixel<T>&); \
+  template void for_each_index(const Cuda&, int64_t, const raster::AntialiasPixel<T>&);            \
+  template void for_each_index(const Cuda&, int64_t, const raster::AntialiasBackwardPixel<T>&);    \
+  template void for_each_index(const Cuda&, int64_t, const raster::TexturePixel<T>&);              \
+  template void for_each_index(const Cuda&, int64_t, const raster::TextureBackwardPixel<T>&);
+TT3D_INSTANTIATE(float)
+TT3D_INSTANTIATE(double)
+#undef TT3D_INSTANTIATE
+
+}  // namespace tt3d

@@ -1,0 +1,89 @@
+#include <gtest/gtest.h>
+
+#include "gpu/both_devices.h"
+#include "support/stop_after.h"
+#include "support/temporary_folder.h"
+#include "tt3d/attack.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+struct AttackOnGpu : testing::OnGpu {};
+
+/// A classifier of three classes that answers with the mean of a picture's red, green and blue.
+class ColorClassifier : public Classifier {
+ public:
+  ColorClassifier() {
+    card_.name = "colors";
+    card_.height = card_.width = 32;
+    card_.labels = {"red", "green", "blue"};
+  }
+  [[nodiscard]] const ModelCard& card() const override { return card_; }
+  [[nodiscard]] Tensor logits(const Tensor& images) const override {
+    return images.mean({2, 3}) * 40;
+  }
+  [[nodiscard]] std::string weights_hash() const override { return "none"; }
+  [[nodiscard]] const ProbeReport& probe() const override { return probe_; }
+  [[nodiscard]] const std::filesystem::path& path() const override { return path_; }
+
+ private:
+  ModelCard card_;
+  ProbeReport probe_;
+  std::filesystem::path path_;
+};
+
+AttackInput ball_input(at::Device device) {
+  const testing::Shape s = testing::sphere(3, 0.7F);
+  FieldShape shape;
+  shape.geometry = {2, 4, 8, 8, 1};
+  shape.appearance = {6, 8, 64, 12, 2};
+  shape.occupancy = 8;
+  AttackInput input;
+  input.mesh = TriMesh{s.vertices, s.faces}.to(device);
+  input.appearance = RadianceField::create(shape, 1).appearance.to(device);
+  input.frame = {{0, 0, 0}, 1, 3.2, 40};
+  input.surrogates = {std::make_shared<ColorClassifier>()};
+  input.targets = {2};
+  return input;
+}
+
+TEST_F(AttackOnGpu, TransformsAndTheirGradients) {
+  for (const int64_t step : {0, 1, 2}) {
+    testing::expect_same(
+        "transform_images", gpu,
+        [&](const std::vector<Tensor>& in) {
+          return transform_images(in[0], 32, EotOptions{}, 1, step);
+        },
+        {testing::uniform({3, 4, 48, 48}, 0, 1, 5).to(at::kFloat)}, 1e-3);
+  }
+}
+
+TEST_F(AttackOnGpu, ReachesTheTargetAndGoesOnAfterAStop) {
+  for (const std::string& method : attack_method_names()) {
+    testing::TemporaryFolder folder;
+    AttackOptions o;
+    o.method = method;
+    o.steps = 40;
+    o.views_per_step = 2;
+    o.image_size = 32;
+    o.beta = 0;
+    o.eot.plain_background = 0;
+    o.checkpoint_every = 6;
+    testing::StopAfter stop(15);
+    EXPECT_THROW((void)run_attack(ball_input(gpu), o, 1, folder / "c", stop), Interrupted);
+    Progress quiet;
+    const AttackResult r = run_attack(ball_input(gpu), o, 1, folder / "c", quiet);
+    EXPECT_EQ(r.mesh.vertices.device(), gpu);
+    double success = 0;
+    for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i) success += r.curves[i].success;
+    EXPECT_GE(success, 9.0) << method;
+    save_attack(r, folder / "r.safetensors");
+    EXPECT_TRUE(
+        at::equal(load_attack(folder / "r.safetensors").mesh.vertices, r.mesh.vertices.cpu()));
+  }
+}
+
+}  // namespace
+}  // namespace tt3d
