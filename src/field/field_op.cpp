@@ -89,12 +89,11 @@ struct HashEncode : public Function<HashEncode> {
       }
       if (ctx->needs_input_grad(0)) {
         grad_x = at::empty_like(x);
-        const field::HashPointGradient<scalar_t> body = {
-            points,    table.const_data_ptr<scalar_t>(),
-            g,         grad_x.mutable_data_ptr<scalar_t>(),
-            x.size(0), shape.features,
-            levels};
-        for_each_index_on(table, x.size(0), body);
+        on_device_of(table, [&](const auto& on) {
+          field::hash_encode_backward_points(on, points, table.const_data_ptr<scalar_t>(), g,
+                                             grad_x.mutable_data_ptr<scalar_t>(), x.size(0), levels,
+                                             shape.features);
+        });
       }
     });
     return {grad_x, grad_table, Tensor()};
