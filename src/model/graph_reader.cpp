@@ -166,6 +166,8 @@ void GraphReader::read_operator(const Json& node, Step& step) {
   std::string target = node.at("target").get<std::string>();
   // In-place detach fails on views; the result is the same.
   if (target == "torch.ops.aten.detach_.default") target = "torch.ops.aten.detach.default";
+  // What memory held before is nobody's input.
+  if (target == "torch.ops.aten.empty_like.default") target = "torch.ops.aten.zeros_like.default";
   step.op = find_operator(target);
   step.target = step.op->schema().name();
   read_operator_inputs(node, step);

@@ -4,16 +4,13 @@
 
 #include <unordered_set>
 
+#include "argument_checks.h"
 #include "malformed.h"
 
 namespace tt3d::model {
 namespace {
 
 using c10::IValue;
-
-/// Parts that an operator may cut a tensor into: far above any network, and small enough that the
-/// list of them is no burden.
-constexpr int64_t kMaxParts = 1 << 16;
 
 /// A number that stands for a tensor gives way to the other operand's type, as in Python. It is
 /// made anew each time: an operator may write into it.
@@ -100,7 +97,7 @@ class Run {
     stack.reserve(step.inputs.size());
     for (const Input& input : step.inputs) stack.push_back(make(input));
     check_writes(step, stack);
-    check_parts(step, stack);
+    check_arguments(step, stack);
     step.op->callBoxed(stack);
     for (size_t i = 0; i < step.outputs.size(); ++i) store(step, step.outputs[i], stack.at(i));
   }
@@ -116,24 +113,6 @@ class Run {
         throw Malformed("writes to a weight; a victim cannot change");
       }
     }
-  }
-
-  /// Refuses to cut a tensor into more parts than a list should hold.
-  static void check_parts(const Step& step, const torch::jit::Stack& stack) {
-    const auto& returns = step.op->schema().returns();
-    if (returns.empty() || returns[0].type()->kind() != c10::TypeKind::ListType) return;
-    const auto& arguments = step.op->schema().arguments();
-    int64_t dim = 0, parts = 0;
-    for (size_t i = 0; i < arguments.size(); ++i) {
-      const std::string& name = arguments[i].name();
-      if (name == "dim") dim = stack[i].toInt();
-      if (name == "chunks" || name == "sections") parts = stack[i].toInt();
-    }
-    const IValue& self = stack.at(0);
-    const bool has_dim =
-        self.isTensor() && dim < self.toTensor().dim() && dim >= -self.toTensor().dim();
-    if (has_dim && parts == 0) parts = self.toTensor().size(dim);
-    if (parts > kMaxParts) throw Malformed("cuts a tensor into too many parts");
   }
 
   IValue make(const Input& input) {

@@ -96,6 +96,48 @@ TEST_F(Hostile, ListsOfTensorsAreShort) {
                  "too many parts");
 }
 
+/// A tensor of zeros as value `name`.
+Json zeros(const std::string& name, const std::vector<int64_t>& sizes) {
+  return node("zeros.default", {argument("size", "as_ints", sizes)}, result(name));
+}
+
+/// Arguments that torch's own kernels follow out of bounds or into a crash.
+TEST_F(Hostile, ArgumentsThatLeadOutOfBoundsAreRefused) {
+  const Json picture = zeros("evil_x", {2, 8, 4, 4});
+  expect_refused(
+      {zeros("q", {1, 1, 3, 4}), zeros("k", {1, 1, 5, 4}), zeros("v", {1, 1, 2, 4}),
+       node("scaled_dot_product_attention.default",
+            {tensor("query", "q"), tensor("key", "k"), tensor("value", "v")}, result("a"))},
+      "keys do not fit");
+  Json outputs = result("a");
+  for (const char* name : {"b", "c"}) outputs.push_back(result(name)[0]);
+  expect_refused({picture, zeros("s", {1}),
+                  node("_native_batch_norm_legit_no_training.default",
+                       {tensor("input", "evil_x"), argument("weight", "as_none", true),
+                        argument("bias", "as_none", true), tensor("running_mean", "s"),
+                        tensor("running_var", "s"), argument("momentum", "as_float", 0.1),
+                        argument("eps", "as_float", 1e-5)},
+                       outputs)},
+                 "statistics do not fit");
+  expect_refused(
+      {picture,
+       node("upsample_nearest2d.default",
+            {tensor("self", "evil_x"), argument("output_size", "as_ints", {4, 4}),
+             argument("scales_h", "as_float", 1e-30), argument("scales_w", "as_float", 1.0)},
+            result("a"))},
+      "scale is out of range");
+  expect_refused(
+      {picture, node("reflection_pad2d.default",
+                     {tensor("self", "evil_x"), argument("padding", "as_ints", {-6, 6, 0, 0})},
+                     result("a"))},
+      "padding is negative");
+  expect_refused({node("div.Tensor_mode",
+                       {argument("self", "as_int", INT64_MIN), argument("other", "as_int", -1),
+                        argument("rounding_mode", "as_string", "trunc")},
+                       result("a"))},
+                 "truncating division");
+}
+
 TEST_F(Hostile, WritesThroughViewsOfWeightsAreRefused) {
   const Json zero = node("zero_.default", {tensor("self", "a")}, result("b"));
   expect_refused(
