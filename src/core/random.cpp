@@ -36,9 +36,7 @@ uint32_t Random::next() {
 
 float Random::uniform() { return unit_float(next()); }
 
-double Random::uniform(double low, double high) {
-  return between(next(), low, high);
-}
+double Random::uniform(double low, double high) { return between(next(), low, high); }
 
 double Random::normal() {
   const double u = (static_cast<double>(next()) + 1.0) * 0x1p-32;
