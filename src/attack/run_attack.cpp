@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "tt3d/attack.h"
+#include "tt3d/similarity.h"
 #include "tt3d/tensor_file.h"
 
 namespace tt3d {
@@ -145,8 +146,8 @@ class Attacker {
     std::vector<Tensor> parameters;
     for (const Group& g : groups) parameters.push_back(g.parameter);
     const Tensor vertices = input_.mesh.vertices + s.offsets;
-    Tensor rgb;
-    const Tensor pictures = render(s, vertices, rgb);
+    Tensor rgb, missing;
+    const Tensor pictures = render(s, vertices, rgb, missing);
     std::vector<Tensor> hits;
     const Tensor objective = adversarial_loss(pictures, s.step, hits);
     const Tensor excess = (rgb - mse_of_psnr(options_.psnr_floor)).clamp_min(0);
@@ -157,7 +158,8 @@ class Attacker {
       edge = regularizer_.edge_length(vertices) - rest_edge_;
     }
     const Tensor natural = options_.rgb_weight * excess + options_.chamfer_weight * chamfer +
-                           options_.laplacian_weight * laplacian + options_.edge_weight * edge;
+                           options_.laplacian_weight * laplacian + options_.edge_weight * edge +
+                           options_.ssim_weight * missing;
     const Tensor loss = objective + options_.beta * natural;
     grads = torch::autograd::grad({loss}, parameters);
     return curve_point(s.step, {loss, objective, rgb, chamfer, laplacian, edge}, hits);
@@ -188,10 +190,10 @@ class Attacker {
     return {step, f[0], f[1], f[2], f[3], f[4], f[5], success};
   }
 
-  /// Renders the step's views [N,4,H,W], and R_rgb: the squared distance to the clean colours at
-  /// the same surface points, summed over colours and averaged over the pictures' pixels as a
-  /// mean squared error (paper, section 3.4).
-  Tensor render(const AttackState& s, const Tensor& vertices, Tensor& rgb) const {
+  /// Renders the step's views [N,4,H,W]. `rgb` receives R_rgb: the squared distance to the clean
+  /// colours at the same surface points, summed over colours and averaged over the pictures' pixels
+  /// as a mean squared error (paper, section 3.4). `missing`: what SSIM lacks to its floor.
+  Tensor render(const AttackState& s, const Tensor& vertices, Tensor& rgb, Tensor& missing) const {
     std::vector<Camera> cameras;
     const int64_t n = views_;
     for (const SampledView& v : sample_views(options_.view_distribution, seed_, s.step * n, n,
@@ -199,6 +201,7 @@ class Attacker {
       cameras.push_back(v.camera);
     }
     const auto pixels = static_cast<double>(3 * n * options_.image_size * options_.image_size);
+    const bool with_clean = options_.ssim_floor > 0;
     // The appearance sticks to the surface: points are looked up where they rest.
     const Tensor rendered =
         render_mesh(vertices, input_.mesh.vertices, prepared_, cameras, [&](const Tensor& x) {
@@ -206,12 +209,27 @@ class Attacker {
           Tensor clean;
           {
             at::NoGradGuard guard;
-            clean = clean_.color(x);
+            clean = clean_.color(x.detach());
           }
           rgb = (color - clean).square().sum() / pixels;
-          return color;
+          return with_clean ? at::cat({color, clean}) : color;
         });
-    return rendered.permute({0, 3, 1, 2});
+    const Tensor picture = rendered.permute({0, 3, 1, 2});
+    if (!with_clean) {
+      missing = at::zeros({}, picture.options());
+      return picture;
+    }
+    const Tensor color = picture.narrow(1, 0, 3), alpha = picture.narrow(1, 6, 1);
+    missing =
+        missing_similarity(color + (1 - alpha), (picture.narrow(1, 3, 3) + 1 - alpha).detach());
+    return at::cat({color, alpha}, 1);
+  }
+
+  /// What the pictures' mean SSIM lacks to the floor. Every second window is enough for a mean.
+  Tensor missing_similarity(const Tensor& pictures, const Tensor& clean) const {
+    constexpr int64_t kStride = 2;
+    return (options_.ssim_floor - structural_similarity(pictures, clean, kStride).mean())
+        .clamp_min(0);
   }
 
   /// `hits` receives each surrogate's share of pictures that it takes for the target.

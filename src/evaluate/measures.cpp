@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "tt3d/evaluate.h"
+#include "tt3d/similarity.h"
 
 namespace tt3d {
 
@@ -14,23 +15,10 @@ double psnr(const Tensor& a, const Tensor& b) {
 }
 
 double ssim(const Tensor& a, const Tensor& b) {
-  constexpr double kC1 = 0.01 * 0.01, kC2 = 0.03 * 0.03, kSigma = 1.5;
-  constexpr int64_t kRadius = 5;
-  const Tensor offsets = at::arange(-kRadius, kRadius + 1).to(at::kDouble);
-  Tensor kernel = (-(offsets.square()) / (2 * kSigma * kSigma)).exp();
-  kernel = (kernel / kernel.sum()).to(a.device());
-  const auto smooth = [&](const Tensor& x) {
-    return at::conv2d(at::conv2d(x, kernel.view({1, 1, 1, -1})), kernel.view({1, 1, -1, 1}));
+  const auto planes = [](const Tensor& t) {
+    return t.to(at::kDouble).permute({2, 0, 1}).unsqueeze(0);
   };
-  // Channels as a batch: [C,1,H,W].
-  const Tensor x = a.to(at::kDouble).permute({2, 0, 1}).unsqueeze(1);
-  const Tensor y = b.to(at::kDouble).permute({2, 0, 1}).unsqueeze(1);
-  const Tensor mx = smooth(x), my = smooth(y);
-  const Tensor vx = smooth(x * x) - mx * mx, vy = smooth(y * y) - my * my;
-  const Tensor cov = smooth(x * y) - mx * my;
-  const Tensor map =
-      ((2 * mx * my + kC1) * (2 * cov + kC2)) / ((mx * mx + my * my + kC1) * (vx + vy + kC2));
-  return map.mean().item<double>();
+  return structural_similarity(planes(a), planes(b)).item<double>();
 }
 
 Interval wilson_interval(int64_t successes, int64_t n) {

@@ -43,9 +43,9 @@ Tensor render_mesh(const Tensor& vertices, const Tensor& rest, const RenderMesh&
   const Tensor positions = interpolate(rest, rast, mesh.faces).view({-1, 3});
   const Tensor colors = shader(positions.index_select(0, covered)).t();
   const Tensor shaded = at::cat({colors, at::ones({covered.size(0), 1}, colors.options())}, 1);
-  const Tensor picture = at::zeros({views * height * width, 4}, shaded.options())
+  const Tensor picture = at::zeros({views * height * width, shaded.size(1)}, shaded.options())
                              .index_copy(0, covered, shaded)
-                             .view({views, height, width, 4});
+                             .view({views, height, width, shaded.size(1)});
   return antialias(picture, rast, clip, mesh.faces, mesh.opposites);
 }
 

@@ -239,6 +239,9 @@ class Schema {
     number("attack.edge_weight", a.edge_weight, 0, 1e9, "", "l4, weight of R_edge");
     number("attack.psnr_floor", a.psnr_floor, 0, 99, "dB",
            "R_rgb counts only beyond the error of this PSNR; 0: always, as in the paper");
+    number("attack.ssim_floor", a.ssim_floor, 0, 1, "",
+           "what SSIM to the clean pictures lacks to this counts, too; 0: nothing");
+    number("attack.ssim_weight", a.ssim_weight, 0, 1e9, "", "weight of what SSIM lacks");
     integer("attack.steps", a.steps, 1, 1e7, "", "optimisation steps");
     integer("attack.views_per_step", a.views_per_step, 1, 256, "", "fresh views a step");
     integer("attack.image_size", a.image_size, 16, 4096, "pixels", "side of the rendered pictures");
@@ -357,6 +360,7 @@ RunConfig::RunConfig() {
   attack.objective = "logit";
   attack.image_size = 224;
   attack.psnr_floor = 21.5;
+  attack.ssim_floor = 0.87;
   capture.max_size = 400;
 }
 

@@ -62,6 +62,8 @@ struct AttackOptions {
   double laplacian_weight = 1e-3;           ///< l3
   double edge_weight = 1e-2;                ///< l4
   double psnr_floor = 0;  ///< dB; below 0 disables: R_rgb counts only beyond this error
+  double ssim_floor = 0;  ///< SSIM to the clean pictures; what is missing to it counts; 0: nothing
+  double ssim_weight = 0.05;  ///< weight of what is missing
   int64_t steps = 800;
   int64_t views_per_step = 6;
   int64_t image_size = 256;  ///< rendered pixels a side

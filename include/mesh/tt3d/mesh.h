@@ -69,7 +69,7 @@ void fill_cavities(const at::Tensor& values);
 
 // ---- Rendering ----------------------------------------------------------------------------
 
-/// Colours of visible surface points: points [P,3] on the rest surface -> [3,P] in [0,1].
+/// Colours of visible surface points: points [P,3] on the rest surface -> [C,P] in [0,1].
 using SurfaceShader = std::function<at::Tensor(const at::Tensor& points)>;
 
 /// A mesh's fixed part, prepared for rendering.
@@ -81,7 +81,7 @@ struct RenderMesh {
 
 /// Views of a mesh: vertices [V,3] where they are, rest [V,3] where the shader looks their points
 /// up (the same tensor, or the undeformed positions: the appearance then sticks to the surface).
-/// Cameras share one picture size. Returns [N,H,W,4], premultiplied colour and alpha, antialiased
+/// Cameras share one picture size. Returns [N,H,W,C+1], premultiplied colours, alpha, antialiased
 /// at silhouettes. Differentiable in vertices, rest and whatever the shader holds. `rast_out`
 /// receives the rasterisation.
 [[nodiscard]] at::Tensor render_mesh(const at::Tensor& vertices, const at::Tensor& rest,
