@@ -10,6 +10,7 @@
 
 #include "commands.h"
 #include "tt3d/capture.h"
+#include "tt3d/device.h"
 #include "tt3d/model.h"
 
 namespace tt3d::cli {
@@ -61,6 +62,9 @@ Json card_json(const Classifier& model) {
 }
 
 void check(const ModelArguments& arguments, const Common& common) {
+  if (common.device == "cuda") {
+    throw InputError("model check: packages are read and probed on the CPU; leave out --device");
+  }
   reset_peak_memory();
   const int64_t before = peak_memory_bytes();
   const double start = now_seconds();
@@ -149,7 +153,7 @@ struct Answer {
 };
 
 std::vector<Answer> answers(const Classifier& model, const std::vector<fs::path>& files, int top,
-                            int batch) {
+                            int batch, at::Device device) {
   const at::NoGradGuard no_gradients;
   const int64_t count =
       std::min<int64_t>(std::max(top, 5), static_cast<int64_t>(model.card().labels.size()));
@@ -158,7 +162,7 @@ std::vector<Answer> answers(const Classifier& model, const std::vector<fs::path>
     const size_t end = std::min(files.size(), start + static_cast<size_t>(batch));
     std::vector<at::Tensor> images;
     for (size_t i = start; i < end; ++i) images.push_back(picture(files[i], model.card()));
-    const at::Tensor probabilities = model.logits(at::cat(images, 0)).softmax(1);
+    const at::Tensor probabilities = model.logits(at::cat(images, 0).to(device)).softmax(1).cpu();
     const auto [values, indices] = probabilities.topk(count, 1);
     for (size_t i = start; i < end; ++i) {
       Answer answer{files[i], {}, {}};
@@ -221,7 +225,8 @@ void print_answer(const Answer& answer, const ModelCard& card, int top) {
 void classify(const ModelArguments& arguments, const Common& common) {
   const auto model = load(arguments, common);
   const auto files = image_files(arguments.images);
-  const auto found = answers(*model, files, arguments.top, arguments.batch);
+  const auto found =
+      answers(*model, files, arguments.top, arguments.batch, device_named(common.device));
   const Accuracy accuracy = accuracy_of(found, model->card());
   if (common.json) {
     Json result = {{"model", model->card().name}, {"images", Json::array()}, {"n", accuracy.n}};

@@ -58,21 +58,35 @@ TT3D_HD Corner<T> corner_of(int k, const uint32_t cell[3], const T fraction[3],
   return {entry_of(cell[0] + dx, cell[1] + dy, cell[2] + dz, level), wx * wy * wz};
 }
 
-/// The numbers of one entry. The GPU takes them in one load.
+/// The numbers of one entry, which the GPU takes in one load. Not on the CPU: the copy costs the
+/// loops around it their vectors.
 template <typename T, int F>
 struct alignas(sizeof(T) * F) Entry {
   T value[F];
 };
 
+/// sum[F] += weight * the entry's numbers.
 template <typename T, int F>
-TT3D_HD Entry<T, F> load_entry(const T* table, uint32_t entry) {
+TT3D_HD void add_entry(const T* table, uint32_t entry, T weight, T sum[F]) {
 #ifdef __CUDA_ARCH__
-  return *reinterpret_cast<const Entry<T, F>*>(table + static_cast<int64_t>(entry) * F);
+  const auto e = reinterpret_cast<const Entry<T, F>*>(table)[entry];
+  for (int f = 0; f < F; ++f) sum[f] += weight * e.value[f];
 #else
-  Entry<T, F> e;
-  for (int f = 0; f < F; ++f) e.value[f] = table[static_cast<int32_t>(entry) * F + f];
-  return e;
+  for (int f = 0; f < F; ++f) sum[f] += weight * table[static_cast<int32_t>(entry) * F + f];
 #endif
+}
+
+/// The entry's numbers times grad[F], summed.
+template <typename T, int F>
+TT3D_HD T dot_entry(const T* table, uint32_t entry, const T grad[F]) {
+  T value = 0;
+#ifdef __CUDA_ARCH__
+  const auto e = reinterpret_cast<const Entry<T, F>*>(table)[entry];
+  for (int f = 0; f < F; ++f) value += e.value[f] * grad[f];
+#else
+  for (int f = 0; f < F; ++f) value += table[static_cast<int32_t>(entry) * F + f] * grad[f];
+#endif
+  return value;
 }
 
 /// Adds to one entry. From sm_90 on the GPU takes two floats in one atomic.
@@ -102,8 +116,7 @@ TT3D_HD void encode_point(const T* x, const T* table, const HashLevel& level, T 
   for (int f = 0; f < F; ++f) sum[f] = 0;
   for (int k = 0; k < 8; ++k) {
     const Corner<T> c = corner_of(k, cell, fraction, level);
-    const Entry<T, F> e = load_entry<T, F>(table, c.entry);
-    for (int f = 0; f < F; ++f) sum[f] += c.weight * e.value[f];
+    add_entry<T, F>(table, c.entry, c.weight, sum);
   }
 }
 
@@ -164,9 +177,7 @@ TT3D_HD void slope_of_point(const T* x, const T* table, const T grad[F], const H
   for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);
   for (int k = 0; k < 3; ++k) sum[k] = 0;
   for (int k = 0; k < 8; ++k) {
-    const Entry<T, F> e = load_entry<T, F>(table, corner_of(k, cell, fraction, level).entry);
-    T value = 0;
-    for (int f = 0; f < F; ++f) value += e.value[f] * grad[f];
+    const T value = dot_entry<T, F>(table, corner_of(k, cell, fraction, level).entry, grad);
     T weight[3], sign[3];
     for (int axis = 0; axis < 3; ++axis) {
       const bool upper = (k >> axis) & 1;
