@@ -106,6 +106,20 @@ TEST(Attack, StrongerBetaStaysNearerToTheCleanObject) {
   }
 }
 
+TEST(Attack, AFloorOnSimilarityHoldsTheColoursBack) {
+  Progress quiet;
+  std::vector<double> distance;
+  for (const double floor : {0.0, 1.0}) {
+    testing::TemporaryFolder folder;
+    AttackOptions o = small_options();
+    o.beta = 1e3;
+    o.rgb_weight = 0;
+    o.ssim_floor = floor;
+    distance.push_back(run_attack(ball_input(0), o, 1, folder / "c", quiet).curves.back().rgb);
+  }
+  EXPECT_LT(distance[1], 0.5 * distance[0]);
+}
+
 TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
   Progress quiet;
   testing::TemporaryFolder folder;
