@@ -3,11 +3,17 @@
 
 #include <unistd.h>
 
+#include <algorithm>
+#include <chrono>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <iostream>
+#include <limits>
 #include <new>
+#include <string>
 #include <system_error>
+#include <thread>
 
 #include "commands.h"
 #include "tt3d/core.h"
@@ -62,18 +68,39 @@ int report_error(const std::string& line, int code) {
   return code;
 }
 
+/// Threads that run elsewhere on the machine: the fewest of a few looks, so that a passing daemon
+/// does not count. (The load average still remembers a build that has ended.)
+int running_elsewhere() {
+  int fewest = std::numeric_limits<int>::max();
+  for (int look = 0; look < 5; ++look) {
+    std::ifstream file("/proc/loadavg");
+    std::string load;
+    int running = 1;
+    file >> load >> load >> load >> running;
+    fewest = std::min(fewest, running - 1);
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+  return fewest;
+}
+
+/// Idle OpenMP threads that spin starve other programs; threads that sleep cost an attack step 1.8
+/// times its time on an idle machine. So they sleep only where others are at work already. libgomp
+/// reads its environment before main: the program starts itself again. The user's choice stands.
+void sleep_when_busy(char** argv) {
+  if (std::getenv("OMP_WAIT_POLICY") != nullptr) return;
+  const auto cores = static_cast<int>(std::thread::hardware_concurrency());
+  if (running_elsewhere() < std::max(1, cores / 2)) return;
+  ::setenv("OMP_WAIT_POLICY", "PASSIVE", 1);
+  std::error_code unknown;
+  const auto self = std::filesystem::read_symlink("/proc/self/exe", unknown);
+  if (!unknown) ::execv(self.c_str(), argv);  // returns only where it failed: then threads spin
+}
+
 }  // namespace
 }  // namespace tt3d::cli
 
 int main(int argc, char** argv) {
-  // Idle OpenMP threads that spin starve other programs on a shared machine. libgomp reads its
-  // environment before main, so the program starts itself again; never over the user's own choice.
-  if (std::getenv("OMP_WAIT_POLICY") == nullptr) {
-    ::setenv("OMP_WAIT_POLICY", "PASSIVE", 1);
-    std::error_code unknown;
-    const auto self = std::filesystem::read_symlink("/proc/self/exe", unknown);
-    if (!unknown) ::execv(self.c_str(), argv);  // returns only where it failed: then threads spin
-  }
+  tt3d::cli::sleep_when_busy(argv);
   try {
     return tt3d::cli::run_program(argc, argv);
   } catch (const tt3d::Error& error) {
