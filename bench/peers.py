@@ -1,8 +1,8 @@
-"""Renders one mesh with tt3d, DEODR and Mitsuba 3, forward and backward, in turns, and prints the
-ratios as a Markdown table.
+"""Renders one mesh with tt3d and DEODR, forward and backward, in turns, and prints the ratios as a
+Markdown table; then our kernels against plain tensor operations.
 
-Every peer draws the same triangles from the same camera at 400 x 400. tt3d runs as the program
-kernel_bench, the peers in this process; rounds alternate, and a ratio is the median over rounds.
+Both draw the same triangles from the same camera at 400 x 400. tt3d runs as the program
+kernel_bench, the peer in this process; rounds alternate, and a ratio is the median over rounds.
 
     scripts/bench peers
 """
@@ -117,60 +117,6 @@ def deodr_step(mesh: dict[str, np.ndarray]) -> Callable[[], None]:
     return step
 
 
-def mitsuba_step(mesh: dict[str, np.ndarray]) -> Callable[[], None]:
-    """Return a step of Mitsuba 3: emission from a texture, gradient to the texture."""
-    import drjit as dr
-    import mitsuba as mi
-
-    mi.set_variant("llvm_ad_rgb")
-    texels = mi.Bitmap(np.random.default_rng(1).random((512, 512, 3), dtype=np.float32))
-    properties = mi.Properties()
-    emitter = mi.load_dict({
-        "type": "area", "radiance": {"type": "bitmap", "bitmap": texels, "raw": True},
-    })  # fmt: skip
-    properties["emitter"] = emitter
-    surface = mi.Mesh(
-        "ball", len(mesh["vertices"]), len(mesh["faces"]), has_vertex_texcoords=True,
-        props=properties,
-    )  # fmt: skip
-    values = mi.traverse(surface)
-    values["vertex_positions"] = mesh["vertices"].ravel()
-    values["faces"] = mesh["faces"].ravel().astype(np.uint32)
-    values["vertex_texcoords"] = mesh["uvs"].ravel()
-    values.update()
-    scene = mi.load_dict({
-        "type": "scene",
-        "integrator": {"type": "direct", "bsdf_samples": 0, "emitter_samples": 0},
-        "sensor": {
-            "type": "perspective", "fov": float(np.rad2deg(FIELD_OF_VIEW)),
-            "to_world": mi.ScalarTransform4f().look_at(
-                origin=[0, -DISTANCE, 0], target=[0, 0, 0], up=[0, 0, 1]),
-            "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "pixel_format": "rgb",
-                     "rfilter": {"type": "box"}},
-            "sampler": {"type": "independent", "sample_count": 1},
-        },
-        "surface": surface,
-    })  # fmt: skip
-    parameters = mi.traverse(scene)
-    key = next(name for name in parameters.keys() if name.endswith("radiance.data"))  # noqa: SIM118
-
-    def step() -> None:
-        dr.enable_grad(parameters[key])
-        picture = mi.render(scene, parameters, spp=1)
-        dr.backward(dr.sum(picture * picture))
-        dr.eval(dr.grad(parameters[key]))
-        dr.sync_thread()
-        dr.set_grad(parameters[key], 0)
-
-    picture = np.array(mi.render(scene, spp=1))
-    if not 0.1 < (picture.sum(2) > 0).mean() < 0.9:
-        sys.exit("peers: Mitsuba does not see the object")
-    step()
-    if not np.any(np.array(dr.grad(parameters[key]))) and key is None:
-        sys.exit("peers: Mitsuba gives no gradient")
-    return step
-
-
 def compare(label: str, ours: Callable[[], float], peer: Callable[[], float], rounds: int) -> str:
     """Return a row: rounds in turns, medians."""
     pairs = [(ours(), peer()) for _ in range(rounds)]
@@ -195,13 +141,10 @@ def main() -> None:
             "colors": mesh["colors"], "uvs": mesh["uvs"],
         }, path)  # fmt: skip
         deodr = deodr_step(mesh)
-        mitsuba = mitsuba_step(mesh)
         all_threads = options.threads
         plan = [
             ("DEODR 0.2.3, 50,000 coloured faces, one thread each", "colored_mesh", deodr, 1),
             (f"DEODR 0.2.3 (one thread), tt3d {all_threads}", "colored_mesh", deodr, all_threads),
-            (f"Mitsuba 3.9.1 llvm_ad_rgb, textured emission, {all_threads} threads each",
-             "textured_mesh", mitsuba, all_threads),
         ]  # fmt: skip
         for label, name, step, threads in plan:
             rows.append(
