@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include "attack/toy_attack.h"
 #include "support/gradient_check.h"
 #include "support/shapes.h"
 #include "support/stop_after.h"
@@ -11,43 +12,7 @@ namespace tt3d {
 namespace {
 
 using at::Tensor;
-
-/// A classifier of three classes that answers with the mean of a picture's red, green and blue.
-class ColorClassifier : public Classifier {
- public:
-  ColorClassifier() {
-    card_.name = "colors";
-    card_.height = card_.width = 32;
-    card_.labels = {"red", "green", "blue"};
-  }
-  [[nodiscard]] const ModelCard& card() const override { return card_; }
-  [[nodiscard]] Tensor logits(const Tensor& images) const override {
-    return images.mean({2, 3}) * 40;
-  }
-  [[nodiscard]] std::string weights_hash() const override { return "none"; }
-  [[nodiscard]] const ProbeReport& probe() const override { return probe_; }
-  [[nodiscard]] const std::filesystem::path& path() const override { return path_; }
-
- private:
-  ModelCard card_;
-  ProbeReport probe_;
-  std::filesystem::path path_;
-};
-
-AttackInput ball_input(int64_t target) {
-  const testing::Shape s = testing::sphere(3, 0.7F);
-  FieldShape shape;
-  shape.geometry = {2, 4, 8, 8, 1};
-  shape.appearance = {6, 8, 64, 12, 2};
-  shape.occupancy = 8;
-  AttackInput input;
-  input.mesh = {s.vertices, s.faces};
-  input.appearance = RadianceField::create(shape, 1).appearance;
-  input.frame = {{0, 0, 0}, 1, 3.2, 40};
-  input.surrogates = {std::make_shared<ColorClassifier>()};
-  input.targets = {target};
-  return input;
-}
+using testing::ball_input;
 
 AttackOptions small_options() {
   AttackOptions o;

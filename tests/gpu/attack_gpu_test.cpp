@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include "attack/toy_attack.h"
 #include "gpu/both_devices.h"
 #include "support/stop_after.h"
 #include "support/temporary_folder.h"
@@ -11,43 +12,6 @@ namespace {
 using at::Tensor;
 
 struct AttackOnGpu : testing::OnGpu {};
-
-/// A classifier of three classes that answers with the mean of a picture's red, green and blue.
-class ColorClassifier : public Classifier {
- public:
-  ColorClassifier() {
-    card_.name = "colors";
-    card_.height = card_.width = 32;
-    card_.labels = {"red", "green", "blue"};
-  }
-  [[nodiscard]] const ModelCard& card() const override { return card_; }
-  [[nodiscard]] Tensor logits(const Tensor& images) const override {
-    return images.mean({2, 3}) * 40;
-  }
-  [[nodiscard]] std::string weights_hash() const override { return "none"; }
-  [[nodiscard]] const ProbeReport& probe() const override { return probe_; }
-  [[nodiscard]] const std::filesystem::path& path() const override { return path_; }
-
- private:
-  ModelCard card_;
-  ProbeReport probe_;
-  std::filesystem::path path_;
-};
-
-AttackInput ball_input(at::Device device) {
-  const testing::Shape s = testing::sphere(3, 0.7F);
-  FieldShape shape;
-  shape.geometry = {2, 4, 8, 8, 1};
-  shape.appearance = {6, 8, 64, 12, 2};
-  shape.occupancy = 8;
-  AttackInput input;
-  input.mesh = TriMesh{s.vertices, s.faces}.to(device);
-  input.appearance = RadianceField::create(shape, 1).appearance.to(device);
-  input.frame = {{0, 0, 0}, 1, 3.2, 40};
-  input.surrogates = {std::make_shared<ColorClassifier>()};
-  input.targets = {2};
-  return input;
-}
 
 TEST_F(AttackOnGpu, TransformsAndTheirGradients) {
   for (const int64_t step : {0, 1, 2}) {
@@ -72,9 +36,10 @@ TEST_F(AttackOnGpu, ReachesTheTargetAndGoesOnAfterAStop) {
     o.eot.plain_background = 0;
     o.checkpoint_every = 6;
     testing::StopAfter stop(15);
-    EXPECT_THROW((void)run_attack(ball_input(gpu), o, 1, folder / "c", stop), Interrupted);
+    EXPECT_THROW((void)run_attack(testing::ball_input(2, gpu), o, 1, folder / "c", stop),
+                 Interrupted);
     Progress quiet;
-    const AttackResult r = run_attack(ball_input(gpu), o, 1, folder / "c", quiet);
+    const AttackResult r = run_attack(testing::ball_input(2, gpu), o, 1, folder / "c", quiet);
     EXPECT_EQ(r.mesh.vertices.device(), gpu);
     double success = 0;
     for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i) success += r.curves[i].success;

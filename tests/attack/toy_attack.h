@@ -1,0 +1,49 @@
+#pragma once
+
+#include <memory>
+
+#include "support/shapes.h"
+#include "tt3d/attack.h"
+
+/// A small attack that the CPU's and the GPU's tests share.
+namespace tt3d::testing {
+
+/// A classifier of three classes that answers with the mean of a picture's red, green and blue.
+class ColorClassifier : public Classifier {
+ public:
+  ColorClassifier() {
+    card_.name = "colors";
+    card_.height = card_.width = 32;
+    card_.labels = {"red", "green", "blue"};
+  }
+  [[nodiscard]] const ModelCard& card() const override { return card_; }
+  [[nodiscard]] at::Tensor logits(const at::Tensor& images) const override {
+    return images.mean({2, 3}) * 40;
+  }
+  [[nodiscard]] std::string weights_hash() const override { return "none"; }
+  [[nodiscard]] const ProbeReport& probe() const override { return probe_; }
+  [[nodiscard]] const std::filesystem::path& path() const override { return path_; }
+
+ private:
+  ModelCard card_;
+  ProbeReport probe_;
+  std::filesystem::path path_;
+};
+
+/// A ball whose colours ColorClassifier shall take for `target`, on `device`.
+inline AttackInput ball_input(int64_t target, at::Device device = at::kCPU) {
+  const Shape s = sphere(3, 0.7F);
+  FieldShape shape;
+  shape.geometry = {2, 4, 8, 8, 1};
+  shape.appearance = {6, 8, 64, 12, 2};
+  shape.occupancy = 8;
+  AttackInput input;
+  input.mesh = TriMesh{s.vertices, s.faces}.to(device);
+  input.appearance = RadianceField::create(shape, 1).appearance.to(device);
+  input.frame = {{0, 0, 0}, 1, 3.2, 40};
+  input.surrogates = {std::make_shared<ColorClassifier>()};
+  input.targets = {target};
+  return input;
+}
+
+}  // namespace tt3d::testing
