@@ -2,7 +2,8 @@
 #
 # TorchConfig.cmake of a CUDA wheel demands a CUDA toolkit, which CPU users lack; the libraries
 # themselves do not. Defines TorchLibs::cpu (headers, libtorch_cpu, libc10), whose precompiled
-# ATen header the rooms share, and with TT3D_CUDA also TorchLibs::cuda.
+# ATen header the rooms share, and with TT3D_CUDA also TorchLibs::cuda. Installed beside
+# tt3dConfig.cmake, for programs that use the library.
 
 set(TT3D_TORCH_DIR "" CACHE PATH "Folder of the installed torch package (default: that of .venv)")
 if(NOT TT3D_TORCH_DIR)
@@ -27,14 +28,13 @@ find_package_handle_standard_args(TorchLibs REQUIRED_VARS TORCH_CPU_LIBRARY TORC
 file(GLOB _torch_nvidia "${TT3D_TORCH_DIR}/../nvidia/*/lib")
 set(TORCH_LIBS_RPATH "${TT3D_TORCH_DIR}/lib" ${_torch_nvidia})
 
-add_library(TorchLibs_cpu INTERFACE)
-add_library(TorchLibs::cpu ALIAS TorchLibs_cpu)
-target_include_directories(TorchLibs_cpu SYSTEM INTERFACE
+add_library(TorchLibs::cpu INTERFACE IMPORTED)
+target_include_directories(TorchLibs::cpu SYSTEM INTERFACE
   "${TT3D_TORCH_DIR}/include" "${TT3D_TORCH_DIR}/include/torch/csrc/api/include")
-target_link_libraries(TorchLibs_cpu INTERFACE "${TORCH_CPU_LIBRARY}" "${TORCH_C10_LIBRARY}")
-target_compile_definitions(TorchLibs_cpu INTERFACE _GLIBCXX_USE_CXX11_ABI=1)
+target_link_libraries(TorchLibs::cpu INTERFACE "${TORCH_CPU_LIBRARY}" "${TORCH_C10_LIBRARY}")
+target_compile_definitions(TorchLibs::cpu INTERFACE _GLIBCXX_USE_CXX11_ABI=1)
 foreach(_dir IN LISTS TORCH_LIBS_RPATH)
-  target_link_options(TorchLibs_cpu INTERFACE "LINKER:-rpath,${_dir}" "LINKER:-rpath-link,${_dir}")
+  target_link_options(TorchLibs::cpu INTERFACE "LINKER:-rpath,${_dir}" "LINKER:-rpath-link,${_dir}")
 endforeach()
 
 if(TT3D_CUDA)
@@ -43,9 +43,8 @@ if(TT3D_CUDA)
   find_library(TORCH_C10_CUDA_LIBRARY c10_cuda PATHS "${TT3D_TORCH_DIR}/lib" NO_DEFAULT_PATH
                NO_CACHE REQUIRED)
   find_package(CUDAToolkit REQUIRED)
-  add_library(TorchLibs_cuda INTERFACE)
-  add_library(TorchLibs::cuda ALIAS TorchLibs_cuda)
-  target_link_libraries(TorchLibs_cuda INTERFACE TorchLibs_cpu
+  add_library(TorchLibs::cuda INTERFACE IMPORTED)
+  target_link_libraries(TorchLibs::cuda INTERFACE TorchLibs::cpu
     # Registration happens in the library's initialisers; nothing refers to it by symbol.
     "-Wl,--no-as-needed" "${TORCH_CUDA_LIBRARY}" "${TORCH_C10_CUDA_LIBRARY}" "-Wl,--as-needed"
     CUDA::cudart)

@@ -17,8 +17,14 @@ function(tt3d_room name)
     list(APPEND ROOM_SOURCES ${ROOM_CUDA})
   endif()
   add_library(tt3d_${name} STATIC ${ROOM_SOURCES})
-  target_include_directories(tt3d_${name} PUBLIC "${CMAKE_SOURCE_DIR}/include/${name}"
-                                          PRIVATE "${CMAKE_CURRENT_SOURCE_DIR}")
+  target_include_directories(tt3d_${name}
+    PUBLIC "$<BUILD_INTERFACE:${CMAKE_SOURCE_DIR}/include/${name}>" "$<INSTALL_INTERFACE:include>"
+    PRIVATE "${CMAKE_CURRENT_SOURCE_DIR}")
+  target_compile_features(tt3d_${name} PUBLIC cxx_std_20)
+  # Installed, a room is the target tt3d::NAME, and its headers lie in include/tt3d.
+  set_target_properties(tt3d_${name} PROPERTIES EXPORT_NAME ${name})
+  install(TARGETS tt3d_${name} EXPORT tt3d)
+  install(DIRECTORY "${CMAKE_SOURCE_DIR}/include/${name}/tt3d" TYPE INCLUDE)
   foreach(_room IN LISTS ROOM_LINK)
     target_link_libraries(tt3d_${name} PUBLIC tt3d_${_room})
   endforeach()

@@ -45,6 +45,21 @@ std::string find_python() {
   return fs::exists(own) ? own.string() : "python3";
 }
 
+/// unwrap.py of the source tree, or where 'cmake --install' put it beside the running program.
+fs::path find_script() {
+  const fs::path script = "python/tt3d_tools/unwrap.py";
+  const fs::path own = TT3D_SOURCE_TREE / script;
+  std::error_code error;
+  const fs::path program = fs::read_symlink("/proc/self/exe", error);
+  const fs::path installed = program.parent_path().parent_path() / "share/tt3d" / script;
+  for (const fs::path& place : {own, installed}) {
+    if (fs::exists(place, error)) return place;
+  }
+  throw MissingToolError("UV unwrapping needs " + script.filename().string() + ", expected as " +
+                         own.string() + " or " + installed.string() +
+                         "; install tt3d with 'cmake --install'");
+}
+
 std::string last_line(const std::string& output) {
   const size_t end = output.find_last_not_of(" \n");
   if (end == std::string::npos) return "no message";
@@ -55,10 +70,10 @@ std::string last_line(const std::string& output) {
 void run_unwrap(const fs::path& input, const fs::path& output, int resolution, int padding,
                 double time_limit_seconds) {
   const std::string python = find_python();
-  const std::string script = std::string(TT3D_SOURCE_TREE) + "/python/tt3d_tools/unwrap.py";
-  const ProcessResult result = run_process({python, script, input.string(), output.string(),
-                                            std::to_string(resolution), std::to_string(padding)},
-                                           time_limit_seconds);
+  const ProcessResult result =
+      run_process({python, find_script().string(), input.string(), output.string(),
+                   std::to_string(resolution), std::to_string(padding)},
+                  time_limit_seconds);
   if (result.timed_out) {
     throw ResourceError("UV unwrapping took longer than " +
                         std::to_string(std::lround(time_limit_seconds)) +

@@ -80,7 +80,7 @@ Tensor log_density_grid(const RadianceField& f, const MeshOptions& options, Prog
 
 TriMesh extract_mesh(const RadianceField& field, const MeshOptions& options, Progress& progress) {
   const Tensor values = log_density_grid(field, options, progress);
-  fill_cavities(values);
+  fill_cavities(values, options.close_gaps);
   TriMesh mesh = marching_cubes(values);
   if (mesh.faces.size(0) == 0) {
     throw InputError("the field holds nothing solid: no surface at density " +

@@ -221,14 +221,28 @@ TriMesh marching_cubes(const at::Tensor& values) {
   return Marcher(dense).run();
 }
 
-void fill_cavities(const at::Tensor& values) {
-  const int64_t size = values.size(0);
-  auto* v = values.mutable_data_ptr<float>();
-  std::vector<uint8_t> reached(static_cast<size_t>(size * size * size), 0);
+namespace {
+
+/// Cells of a flag grid [G,G,G] (bool) within `radius` of a set one, along each axis.
+at::Tensor grown(const at::Tensor& flags, int64_t radius) {
+  if (radius == 0) return flags;
+  const int64_t width = 2 * radius + 1;
+  return at::max_pool3d(flags.to(at::kFloat).unsqueeze(0), {width, width, width}, {1, 1, 1},
+                        {radius, radius, radius})
+             .squeeze(0) > 0;
+}
+
+/// What a flood from the grid's border through the points of `open` [G,G,G] (bool) reaches.
+at::Tensor reached_from_border(const at::Tensor& open) {
+  const int64_t size = open.size(0);
+  const at::Tensor dense = open.contiguous();
+  const bool* free = dense.const_data_ptr<bool>();
+  at::Tensor reached = at::zeros_like(dense);
+  bool* r = reached.mutable_data_ptr<bool>();
   std::vector<int64_t> stack;
   const auto push = [&](int64_t i) {
-    if (reached[i] || v[i] > 0) return;
-    reached[i] = 1;
+    if (r[i] || !free[i]) return;
+    r[i] = true;
     stack.push_back(i);
   };
   for (int64_t a = 0; a < size; ++a) {
@@ -251,9 +265,16 @@ void fill_cavities(const at::Tensor& values) {
     if (z > 0) push(i - size * size);
     if (z + 1 < size) push(i + size * size);
   }
-  for (int64_t i = 0; i < size * size * size; ++i) {
-    if (!reached[i] && v[i] <= 0) v[i] = 1.0F;
-  }
+  return reached;
+}
+
+}  // namespace
+
+void fill_cavities(const at::Tensor& values, int64_t radius) {
+  const at::Tensor solid = values > 0;
+  // Where a cube of the radius fits, flooded from the border, and all that such cubes cover.
+  const at::Tensor outside = grown(reached_from_border(grown(solid, radius).logical_not()), radius);
+  values.masked_fill_(outside.logical_or(solid).logical_not(), 1.0F);
 }
 
 }  // namespace tt3d

@@ -242,13 +242,11 @@ RefinedMesh refine_mesh(const TriMesh& start, const Appearance& appearance, cons
   auto regularizer = std::make_unique<MeshRegularizer>(s.mesh);
   progress.begin("mesh", options.refine_steps, s.step);
   double smoothed = 0;
-  bool just_remeshed = false;
   while (s.step < options.refine_steps) {
-    if (remesh_now(options, s.step) && s.since_remesh > 0 && !just_remeshed) {
+    if (remesh_now(options, s.step) && s.since_remesh > 0) {
       remesh(capture, targets, options, s);
       prepared = std::make_unique<RenderMesh>(s.mesh.faces);
       regularizer = std::make_unique<MeshRegularizer>(s.mesh);
-      just_remeshed = true;
     }
     const auto picked =
         draw_views(groups, capture.train.size(), options.views_per_step, seed, s.step);
@@ -276,7 +274,6 @@ RefinedMesh refine_mesh(const TriMesh& start, const Appearance& appearance, cons
     apply_gradients(options, grads, s);
     ++s.step;
     ++s.since_remesh;
-    just_remeshed = false;
     smoothed = smoothed == 0 ? loss.mse : 0.95 * smoothed + 0.05 * loss.mse;
     progress.update(s.step, {{"loss", loss.total},
                              {"psnr", -10 * std::log10(smoothed)},

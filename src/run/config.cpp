@@ -200,6 +200,8 @@ class Schema {
     MeshOptions& m = c.mesh;
     integer("mesh.resolution", m.resolution, 16, 1024, "points", "side of the marching-cubes grid");
     number("mesh.iso", m.iso, 1e-3, 1e6, "", "density of the surface, at most the field's mean");
+    integer("mesh.close_gaps", m.close_gaps, 0, 16, "points",
+            "cavities and tunnels too narrow for a cube of 2 n + 1 grid points are filled");
     number("mesh.min_component", m.min_component, 0, 1, "",
            "components below this share of the diameter go");
     integer("mesh.target_faces", m.target_faces, 100, 5e6, "faces", "faces after simplification");

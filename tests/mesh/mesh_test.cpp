@@ -72,10 +72,32 @@ TEST(MarchingCubes, NothingInsideNothingOut) {
 TEST(FillCavities, HollowBallBecomesSolid) {
   Tensor shell = at::minimum(ball(40, 0.8), -ball(40, 0.5)).contiguous();
   EXPECT_EQ(inspect(marching_cubes(shell)).components, 2);
-  fill_cavities(shell);
+  fill_cavities(shell, 0);
   const MeshFacts facts = inspect(marching_cubes(shell));
   EXPECT_EQ(facts.components, 1);
   EXPECT_NEAR(facts.volume, 4.0 / 3 * std::numbers::pi * 0.512, 0.05);
+}
+
+TEST(FillCavities, TunnelsGoWhereNoCubeOfTheRadiusFits) {
+  // A hollow ball with a square tunnel of three grid points a side from its top to its cavity.
+  Tensor shell = at::minimum(ball(40, 0.8), -ball(40, 0.5)).contiguous();
+  shell.narrow(0, 20, 20).narrow(1, 19, 3).narrow(2, 19, 3).fill_(-1);
+  EXPECT_EQ(inspect(marching_cubes(shell)).euler, 2);  // one bowl: the cavity is open
+  const double bowl = inspect(marching_cubes(shell)).volume;
+  Tensor kept = shell.clone();
+  fill_cavities(kept, 1);
+  EXPECT_NEAR(inspect(marching_cubes(kept)).volume, bowl, 1e-2);
+  Tensor filled = shell.clone();
+  fill_cavities(filled, 2);
+  EXPECT_NEAR(inspect(marching_cubes(filled)).volume, 4.0 / 3 * std::numbers::pi * 0.512, 0.05);
+  EXPECT_EQ(inspect(marching_cubes(filled)).components, 1);
+}
+
+TEST(FillCavities, WhatACubeCanReachStays) {
+  const Tensor solid = ball(40, 0.6);
+  Tensor same = solid.clone();
+  fill_cavities(same, 2);
+  EXPECT_TRUE(at::equal(same, solid));
 }
 
 TEST(Components, SmallOnesGo) {

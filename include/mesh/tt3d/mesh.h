@@ -43,9 +43,10 @@ struct MeshFacts {
 /// result is closed and manifold.
 [[nodiscard]] TriMesh marching_cubes(const at::Tensor& values);
 
-/// Sets every outside region that is not connected to the grid's border to inside: no hidden inner
-/// surfaces. values as for marching_cubes; in place.
-void fill_cavities(const at::Tensor& values);
+/// Sets outside points that a cube of 2 * radius + 1 points a side cannot cover on its way from the
+/// grid's border to inside: no hidden inner surfaces, no tunnels too narrow to look through (a
+/// closing by reconstruction; Serra 1982). values as for marching_cubes; in place.
+void fill_cavities(const at::Tensor& values, int64_t radius);
 
 /// Drops unused vertices, duplicate, null and back-to-back faces; pulls apart edges of more than
 /// two faces. A closed mesh stays closed.
@@ -118,6 +119,7 @@ class MeshRegularizer {
 struct MeshOptions {
   int64_t resolution = 256;      ///< grid points a side for marching cubes
   double iso = 10;               ///< density of the surface, at most the field's mean
+  int64_t close_gaps = 1;        ///< grid points; radius of fill_cavities
   double min_component = 0.05;   ///< share of the diameter below which components go
   int64_t target_faces = 40000;  ///< after simplification
   int64_t refine_steps = 400;

@@ -1,0 +1,78 @@
+// Inverse rendering in its smallest form: a sphere's vertices move until its silhouettes are those
+// of a larger one. Shows the rasteriser's gradients (docs/raster.md) and how to write an asset.
+//
+//   fit_silhouette OUT.glb
+#include <ATen/ATen.h>
+#include <ATen/core/grad_mode.h>
+#include <torch/csrc/autograd/autograd.h>
+
+#include <cstdio>
+#include <exception>
+
+#include "tt3d/bake.h"
+#include "tt3d/error.h"
+#include "tt3d/mesh.h"
+
+namespace {
+
+using at::Tensor;
+
+/// A ball of the given radius around the origin, by marching cubes.
+tt3d::TriMesh ball(double radius) {
+  const Tensor axis = at::linspace(-1, 1, 25);
+  const auto xyz = at::meshgrid({axis, axis, axis}, "ij");
+  const Tensor distance = (xyz[0].square() + xyz[1].square() + xyz[2].square()).sqrt();
+  return tt3d::marching_cubes(radius - distance);
+}
+
+/// Coverage of each pixel in each view, [N,H,W].
+Tensor silhouettes(const Tensor& vertices, const tt3d::RenderMesh& mesh,
+                   const std::vector<tt3d::Camera>& cameras) {
+  const auto white = [](const Tensor& points) { return at::ones({3, points.size(0)}); };
+  return tt3d::render_mesh(vertices, vertices, mesh, cameras, white).select(3, 3);
+}
+
+void fit(const std::filesystem::path& out) {
+  const tt3d::TriMesh wanted = ball(0.7), start = ball(0.5);
+  const tt3d::RenderMesh wanted_mesh(wanted.faces), mesh(start.faces);
+  Tensor vertices = start.vertices.clone().requires_grad_(true);
+  double first = 0, last = 0;
+  constexpr int kSteps = 120, kViews = 4, kSize = 64;
+  for (int step = 0; step < kSteps; ++step) {
+    std::vector<tt3d::Camera> cameras;
+    for (const tt3d::SampledView& view :
+         tt3d::sample_views("sphere", /*seed=*/1, step * kViews, kViews, kSize, {})) {
+      cameras.push_back(view.camera);
+    }
+    const Tensor loss =
+        (silhouettes(vertices, mesh, cameras) - silhouettes(wanted.vertices, wanted_mesh, cameras))
+            .square()
+            .mean();
+    const Tensor gradient = torch::autograd::grad({loss}, {vertices})[0];
+    at::NoGradGuard guard;
+    // Along the sign alone: silhouettes tell a vertex where to go, not how far.
+    vertices.sub_(0.005 * gradient.sign());
+    last = loss.item<double>();
+    if (step == 0) first = last;
+  }
+  std::printf("silhouette error %.4f -> %.4f\n", first, last);
+  const int64_t count = start.vertices.size(0);
+  tt3d::write_glb({vertices.detach(), start.faces, at::full({count, 2}, 0.5), start.faces,
+                   at::full({4, 4, 3}, 200, at::kByte)},
+                  out);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc != 2) {
+    std::fprintf(stderr, "usage: fit_silhouette OUT.glb\n");
+    return 2;
+  }
+  try {
+    fit(argv[1]);
+  } catch (const tt3d::Error& error) {
+    std::fprintf(stderr, "fit_silhouette: %s\n", error.what());
+    return error.exit_code();
+  }
+}
