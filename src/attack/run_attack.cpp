@@ -13,8 +13,6 @@ namespace {
 
 using at::Tensor;
 
-constexpr int kMaxRollbacks = 3;
-
 /// Everything that changes while attacking; saved and restored whole.
 struct AttackState {
   Tensor offsets;  ///< [V,3]
@@ -22,8 +20,7 @@ struct AttackState {
   std::vector<Tensor> moment1, moment2;
   std::vector<AttackCurvePoint> curves;
   int64_t step = 0;
-  double rate_scale = 1;
-  int rollbacks = 0;
+  Recovery recovery;
 };
 
 /// A parameter with the share of the learning rates that applies to it.
@@ -89,8 +86,8 @@ void save_state(const AttackState& s, const std::filesystem::path& path) {
     tensors.emplace_back("moment2." + std::to_string(i), s.moment2[i]);
   }
   tensors.emplace_back("curves", curves_tensor(s.curves));
-  tensors.emplace_back("counters", at::tensor({s.step, int64_t{s.rollbacks}}, at::kLong));
-  tensors.emplace_back("rate_scale", at::tensor({s.rate_scale}, at::kDouble));
+  tensors.emplace_back("counters", at::tensor({s.step, int64_t{s.recovery.rollbacks}}, at::kLong));
+  tensors.emplace_back("rate_scale", at::tensor({s.recovery.rate_scale}, at::kDouble));
   save_tensors(path, tensors, {{"format", "tt3d attack state"}});
 }
 
@@ -110,8 +107,8 @@ void load_state(const std::filesystem::path& path, AttackState& s) {
   s.curves = curves_from(file.get("curves", {-1, kCurveColumns}, at::kDouble));
   const Tensor counters = file.get("counters", {2}, at::kLong);
   s.step = counters[0].item<int64_t>();
-  s.rollbacks = counters[1].item<int>();
-  s.rate_scale = file.get("rate_scale", {1}, at::kDouble).item<double>();
+  s.recovery.rollbacks = counters[1].item<int>();
+  s.recovery.rate_scale = file.get("rate_scale", {1}, at::kDouble).item<double>();
 }
 
 /// Squared distance that a PSNR stands for, pictures in [0,1].
@@ -168,7 +165,7 @@ class Attacker {
   void apply(const std::vector<Tensor>& grads, AttackState& s) const {
     const Adam adam{0.9, 0.999, 1e-15};
     const double progress = static_cast<double>(s.step) / static_cast<double>(options_.steps);
-    const double decay = std::pow(options_.final_rate, progress) * s.rate_scale;
+    const double decay = std::pow(options_.final_rate, progress) * s.recovery.rate_scale;
     const auto groups = free_parameters(s, method_, options_);
     at::NoGradGuard guard;
     for (size_t i = 0; i < groups.size(); ++i) {
@@ -283,20 +280,11 @@ AttackCurvePoint compute_within_memory(Attacker& attacker, const AttackState& s,
 
 void roll_back(const Attacker& attacker, const std::filesystem::path& checkpoint, AttackState& s,
                Progress& progress) {
-  const int64_t failed = s.step;
-  const int rollbacks = s.rollbacks + 1;
-  const double scale = s.rate_scale * 0.5;
-  if (rollbacks > kMaxRollbacks) {
-    throw NumericError("attack diverged at step " + std::to_string(failed) +
-                       " after three roll-backs; lower attack.appearance_rate or "
-                       "attack.vertex_rate");
-  }
-  progress.note("attack diverged at step " + std::to_string(failed) +
-                ": rolling back, learning rates x " + std::to_string(scale));
+  const Recovery recovery = s.recovery.after_divergence(
+      "attack", s.step, "lower attack.appearance_rate or attack.vertex_rate", progress);
   s = attacker.fresh();
   if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
-  s.rollbacks = rollbacks;
-  s.rate_scale = scale;
+  s.recovery = recovery;
 }
 
 }  // namespace

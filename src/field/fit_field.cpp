@@ -16,8 +16,6 @@ using at::Tensor;
 constexpr int64_t kOccupancyEvery = 16;
 constexpr int64_t kAverageSteps = 200;  ///< 0.95^200 is nothing: earlier averaging is invisible
 constexpr double kAverageDecay = 0.95;
-constexpr int kMaxRollbacks = 3;
-
 /// Everything that changes while training; saved and restored whole.
 struct TrainingState {
   RadianceField field;
@@ -25,8 +23,7 @@ struct TrainingState {
   field::OccupancyGrid occupancy;
   int64_t step = 0;
   int64_t rays = 1024;
-  double rate_scale = 1;
-  int rollbacks = 0;
+  Recovery recovery;
 };
 
 std::vector<Tensor> zeros_like_all(const std::vector<Tensor>& tensors) {
@@ -69,8 +66,10 @@ void save_state(const TrainingState& s, const std::filesystem::path& path) {
   add_all("average.", s.average);
   tensors.emplace_back("occupied", s.field.occupied);
   tensors.emplace_back("density", s.occupancy.density);
-  tensors.emplace_back("counters", at::tensor({s.step, s.rays, int64_t{s.rollbacks}}, at::kLong));
-  tensors.emplace_back("rate_scale", at::tensor({static_cast<float>(s.rate_scale)}, at::kFloat));
+  tensors.emplace_back("counters",
+                       at::tensor({s.step, s.rays, int64_t{s.recovery.rollbacks}}, at::kLong));
+  tensors.emplace_back("rate_scale",
+                       at::tensor({static_cast<float>(s.recovery.rate_scale)}, at::kFloat));
   save_tensors(path, tensors, {{"format", "tt3d field training"}});
 }
 
@@ -91,8 +90,8 @@ void load_state(const std::filesystem::path& path, TrainingState& s) {
   const Tensor counters = file.get("counters", {3}, at::kLong);
   s.step = counters[0].item<int64_t>();
   s.rays = counters[1].item<int64_t>();
-  s.rollbacks = counters[2].item<int>();
-  s.rate_scale = file.get("rate_scale", {1}, at::kFloat).item<double>();
+  s.recovery.rollbacks = counters[2].item<int>();
+  s.recovery.rate_scale = file.get("rate_scale", {1}, at::kFloat).item<double>();
 }
 
 /// Linear warm-up, then exponential decay to a tenth.
@@ -161,7 +160,7 @@ StepResult compute_gradients(const field::PixelPool& pool, const FieldOptions& o
 void apply_gradients(const FieldOptions& options, const std::vector<Tensor>& grads,
                      TrainingState& s) {
   const Adam adam;
-  const double rate = learning_rate(options, s.step) * s.rate_scale;
+  const double rate = learning_rate(options, s.step) * s.recovery.rate_scale;
   const auto parameters = s.field.parameters();
   at::NoGradGuard guard;
   for (size_t i = 0; i < parameters.size(); ++i) {
@@ -188,20 +187,12 @@ int64_t next_rays(const FieldOptions& options, int64_t rays, int64_t samples) {
 /// After a step that was not finite: back to the last good state at half the rate.
 void roll_back(const std::filesystem::path& checkpoint, const Capture& capture,
                const FieldOptions& options, uint64_t seed, TrainingState& s, Progress& progress) {
-  const int64_t failed_step = s.step;
-  const int rollbacks = s.rollbacks + 1;
-  const double rate_scale = s.rate_scale * 0.5;
-  if (rollbacks > kMaxRollbacks) {
-    throw NumericError("field training diverged at step " + std::to_string(failed_step) +
-                       " after three roll-backs; lower field.rate (now " +
-                       std::to_string(options.rate) + ")");
-  }
-  progress.note("field training diverged at step " + std::to_string(failed_step) +
-                ": rolling back, learning rate x " + std::to_string(rate_scale));
+  const Recovery recovery = s.recovery.after_divergence(
+      "field training", s.step, "lower field.rate (now " + std::to_string(options.rate) + ")",
+      progress);
   s = fresh_state(capture, options, seed);
   if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
-  s.rollbacks = rollbacks;
-  s.rate_scale = rate_scale;
+  s.recovery = recovery;
 }
 
 RadianceField averaged(const TrainingState& s) {

@@ -13,8 +13,6 @@ namespace {
 
 using at::Tensor;
 
-constexpr int kMaxRollbacks = 3;
-
 /// Everything that changes while refining; saved and restored whole.
 struct RefineState {
   TriMesh mesh;    ///< base of the offsets; changes at each remeshing
@@ -23,8 +21,7 @@ struct RefineState {
   std::vector<Tensor> moment1, moment2;  ///< offsets first, then the appearance
   int64_t step = 0;
   int64_t since_remesh = 0;  ///< Adam's iteration for the offsets
-  double rate_scale = 1;
-  int rollbacks = 0;
+  Recovery recovery;
 
   [[nodiscard]] std::vector<Tensor> parameters() const {
     std::vector<Tensor> all = {offsets};
@@ -65,9 +62,10 @@ void save_state(const RefineState& s, const std::filesystem::path& path) {
     tensors.emplace_back("moment1." + n, s.moment1[i]);
     tensors.emplace_back("moment2." + n, s.moment2[i]);
   }
-  tensors.emplace_back("counters",
-                       at::tensor({s.step, s.since_remesh, int64_t{s.rollbacks}}, at::kLong));
-  tensors.emplace_back("rate_scale", at::tensor({static_cast<float>(s.rate_scale)}, at::kFloat));
+  tensors.emplace_back(
+      "counters", at::tensor({s.step, s.since_remesh, int64_t{s.recovery.rollbacks}}, at::kLong));
+  tensors.emplace_back("rate_scale",
+                       at::tensor({static_cast<float>(s.recovery.rate_scale)}, at::kFloat));
   save_tensors(path, tensors, {{"format", "tt3d refinement"}});
 }
 
@@ -88,8 +86,8 @@ void load_state(const std::filesystem::path& path, RefineState& s) {
   const Tensor counters = file.get("counters", {3}, at::kLong);
   s.step = counters[0].item<int64_t>();
   s.since_remesh = counters[1].item<int64_t>();
-  s.rollbacks = counters[2].item<int>();
-  s.rate_scale = file.get("rate_scale", {1}, at::kFloat).item<double>();
+  s.recovery.rollbacks = counters[2].item<int>();
+  s.recovery.rate_scale = file.get("rate_scale", {1}, at::kFloat).item<double>();
 }
 
 /// Views are grouped by picture size, so that a batch rasterises in one call.
@@ -161,7 +159,7 @@ void apply_gradients(const MeshOptions& options, const std::vector<Tensor>& grad
   for (size_t i = 0; i < parameters.size(); ++i) {
     const bool offsets = i == 0;
     const double rate =
-        (offsets ? options.vertex_rate : options.appearance_rate) * decay * s.rate_scale;
+        (offsets ? options.vertex_rate : options.appearance_rate) * decay * s.recovery.rate_scale;
     adam.step(parameters[i], grads[i].contiguous(), s.moment1[i], s.moment2[i], rate,
               offsets ? s.since_remesh + 1 : s.step + 1);
   }
@@ -254,19 +252,11 @@ RefinedMesh refine_mesh(const TriMesh& start, const Appearance& appearance, cons
     const StepLoss loss = compute_gradients(capture, targets, picked, options, seed, s, *prepared,
                                             *regularizer, grads);
     if (!std::isfinite(loss.total)) {
-      const int rollbacks = s.rollbacks + 1;
-      const double scale = s.rate_scale * 0.5;
-      if (rollbacks > kMaxRollbacks) {
-        throw NumericError("mesh refinement diverged at step " + std::to_string(s.step) +
-                           " after three roll-backs; lower mesh.vertex_rate or "
-                           "mesh.appearance_rate");
-      }
-      progress.note("mesh refinement diverged at step " + std::to_string(s.step) +
-                    ": rolling back, learning rates x " + std::to_string(scale));
+      const Recovery recovery = s.recovery.after_divergence(
+          "mesh refinement", s.step, "lower mesh.vertex_rate or mesh.appearance_rate", progress);
       s = fresh_state(mesh, appearance);
       if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);
-      s.rollbacks = rollbacks;
-      s.rate_scale = scale;
+      s.recovery = recovery;
       prepared = std::make_unique<RenderMesh>(s.mesh.faces);
       regularizer = std::make_unique<MeshRegularizer>(s.mesh);
       continue;

@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "attack/toy_attack.h"
+#include "support/count_notes.h"
 #include "support/gradient_check.h"
 #include "support/shapes.h"
 #include "support/stop_after.h"
@@ -103,6 +106,45 @@ TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
   save_attack(whole, folder / "a.safetensors");
   save_attack(again, folder / "b.safetensors");
   EXPECT_EQ(read_file(folder / "a.safetensors"), read_file(folder / "b.safetensors"));
+}
+
+/// A classifier whose answers are not numbers from call `first` to call `last`.
+class FailingClassifier : public testing::ColorClassifier {
+ public:
+  FailingClassifier(int first, int last) : first_(first), last_(last) {}
+  [[nodiscard]] Tensor logits(const Tensor& images) const override {
+    const int call = ++calls_;
+    const bool fails = call >= first_ && call <= last_;
+    return ColorClassifier::logits(images) * (fails ? std::nan("") : 1.0);
+  }
+
+ private:
+  int first_, last_;
+  mutable int calls_ = 0;
+};
+
+TEST(Attack, GoesOnAtHalfTheRateAfterALossThatIsNotANumber) {
+  testing::TemporaryFolder folder;
+  AttackInput input = ball_input(0);
+  input.surrogates = {std::make_shared<FailingClassifier>(14, 15)};
+  testing::CountNotes notes;
+  const AttackResult r = run_attack(input, small_options(), 1, folder / "c", notes);
+  EXPECT_EQ(notes.count, 2);
+  // Rolled back to the checkpoint at step 12, and no step is missing or there twice.
+  ASSERT_EQ(r.curves.size(), 40U);
+  for (size_t i = 0; i < r.curves.size(); ++i) {
+    EXPECT_EQ(r.curves[i].step, static_cast<int64_t>(i));
+    EXPECT_TRUE(std::isfinite(r.curves[i].loss));
+  }
+}
+
+TEST(Attack, StopsAfterThreeRollBacks) {
+  testing::TemporaryFolder folder;
+  AttackInput input = ball_input(0);
+  input.surrogates = {std::make_shared<FailingClassifier>(14, 1000)};
+  testing::CountNotes notes;
+  EXPECT_THROW((void)run_attack(input, small_options(), 1, folder / "c", notes), NumericError);
+  EXPECT_EQ(notes.count, 3);
 }
 
 TEST(Attack, SaveAndLoad) {

@@ -2,6 +2,7 @@
 
 #include <cmath>
 
+#include "support/count_notes.h"
 #include "support/stop_after.h"
 #include "support/synthetic_capture.h"
 #include "support/temporary_folder.h"
@@ -119,10 +120,7 @@ TEST(FitField, DivergenceRollsBackThreeTimesAndThenStops) {
   FieldOptions o = small_options();
   o.rate = 1e30;  // weights overflow at once
   o.warmup = 0;
-  struct Notes : Progress {
-    void note(const std::string&) override { ++count; }
-    int count = 0;
-  } notes;
+  testing::CountNotes notes;
   testing::TemporaryFolder folder;
   EXPECT_THROW((void)fit_field(capture, o, 1, folder / "c", notes), NumericError);
   EXPECT_EQ(notes.count, 3);

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include "support/count_notes.h"
 #include "support/shapes.h"
 #include "support/stop_after.h"
 #include "support/synthetic_capture.h"
@@ -80,6 +81,19 @@ TEST(RefineMesh, ResumedAfterAnyStopGivesTheSameBytes) {
   EXPECT_TRUE(at::equal(whole.mesh.vertices, again.mesh.vertices));
   EXPECT_TRUE(at::equal(whole.mesh.faces, again.mesh.faces));
   EXPECT_TRUE(at::equal(whole.appearance.grid, again.appearance.grid));
+}
+
+TEST(RefineMesh, DivergenceRollsBackThreeTimesAndThenStops) {
+  const Capture capture = testing::ball_capture(4, 16);
+  const testing::Shape start = testing::sphere(2, 0.58F);
+  MeshOptions o = small_options();
+  o.vertex_rate = 1e30;  // vertices overflow at once
+  testing::CountNotes notes;
+  testing::TemporaryFolder folder;
+  EXPECT_THROW((void)refine_mesh({start.vertices, start.faces}, small_appearance(), capture, o, 1,
+                                 folder / "c", notes),
+               NumericError);
+  EXPECT_EQ(notes.count, 3);
 }
 
 TEST(ExtractMesh, EmptyFieldIsAnInputError) {

@@ -44,6 +44,18 @@ class Progress {
   }
 };
 
+/// What is done about a loss that is not finite: back to the last good state, on with half the
+/// learning rates, three times at most.
+struct Recovery {
+  int rollbacks = 0;
+  double rate_scale = 1;  ///< of the learning rates
+
+  /// The state of things after one more divergence, of `stage` at `step`. Notes it in `progress`;
+  /// throws NumericError with `advice` where three roll-backs did not help.
+  [[nodiscard]] Recovery after_divergence(std::string_view stage, int64_t step,
+                                          std::string_view advice, Progress& progress) const;
+};
+
 // ---- Randomness ---------------------------------------------------------------------------
 
 /// Counter-based random numbers (Philox4x32-10; Salmon et al., "Parallel random numbers: as easy
