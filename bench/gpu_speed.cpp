@@ -100,12 +100,12 @@ Case render_case(int levels, int64_t size) {
                                   1)
                             .unsqueeze(0)
                             .to(device);
-    const Tensor faces = shape.faces.to(device), opposites = edge_opposites(faces);
+    const Tensor faces = shape.faces.to(device), twins = edge_twins(faces);
     return both_ways({clip, random({shape.vertices.size(0), 4}, 0, 1, 7, device)},
-                     [faces, opposites, size](const auto& in) {
+                     [faces, twins, size](const auto& in) {
                        const Tensor rast = rasterize(in[0], faces, size, size);
                        const Tensor color = interpolate(in[1], rast, faces);
-                       return antialias(color, rast, in[0], faces, opposites);
+                       return antialias(color, rast, in[0], faces, twins);
                      });
   };
 }

@@ -38,11 +38,11 @@ Tensor leaf(const Tensor& t) { return t.detach().clone().requires_grad_(true); }
 void colored_mesh(benchmark::State& state) {
   const Scene scene = load_scene();
   const Tensor clip = leaf(scene.clip), colors = leaf(scene.colors);
-  const Tensor opposites = edge_opposites(scene.faces);
+  const Tensor twins = edge_twins(scene.faces);
   for (auto _ : state) {
     const Tensor rast = rasterize(clip, scene.faces, 400, 400);
     const Tensor picture = interpolate(colors, rast, scene.faces);
-    antialias(picture, rast, clip, scene.faces, opposites).square().sum().backward();
+    antialias(picture, rast, clip, scene.faces, twins).square().sum().backward();
     clip.mutable_grad().reset();
     colors.mutable_grad().reset();
   }

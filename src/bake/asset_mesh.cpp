@@ -75,7 +75,7 @@ fs::path resolve_reference(const fs::path& asset, const std::string& reference) 
                                 "', which leads out of its folder; put "
                                 "the file beside the asset and name it by a relative path");
   }
-  const fs::path found = asset.parent_path() / path;
+  fs::path found = asset.parent_path() / path;
   if (!fs::is_regular_file(found))
     throw InputError(found, "no such file, named by " + asset.string());
   return found;

@@ -20,7 +20,7 @@ at::Tensor tint(const at::Tensor& image, const std::array<double, 4>& factor) {
     for (int i = 0; i < 256; ++i) {
       const float linear = srgb_to_linear(static_cast<float>(i) / 255.F);
       const float tinted = linear_to_srgb(linear * static_cast<float>(factor[c]));
-      table[i] = static_cast<uint8_t>(tinted * 255.F + 0.5F);
+      table[i] = static_cast<uint8_t>(std::lround(tinted * 255.F));
     }
     for (int64_t i = c; i < result.numel(); i += 3) pixels[i] = table[pixels[i]];
   }

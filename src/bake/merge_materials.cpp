@@ -107,7 +107,7 @@ void draw_block(const AssetSource& source, const SourceFace& face, uint8_t* out,
       for (int a = 0; a < 3; ++a) {
         const float value = (1 - b - c) * colour(0)[a] + b * colour(1)[a] + c * colour(2)[a];
         out[row * pitch + 3 * column + a] =
-            static_cast<uint8_t>(std::clamp(value, 0.F, 1.F) * 255.F + 0.5F);
+            static_cast<uint8_t>(std::lround(std::clamp(value, 0.F, 1.F) * 255.F));
       }
     }
   }

@@ -64,7 +64,7 @@ AssetRenderer::AssetRenderer(const TexturedMesh& asset, at::Device device)
     : asset_{asset.vertices.to(device), asset.faces.to(device), asset.uvs.to(device),
              asset.uv_faces.to(device), asset.texture},
       texels_((asset.texture.to(at::kFloat) / 255).to(device)),
-      opposites_(edge_opposites(asset.faces).to(device)) {
+      twins_(edge_twins(asset.faces).to(device)) {
   corner_uvs_ = asset_.uvs.index_select(0, asset_.uv_faces.flatten().to(at::kLong));
   corner_index_ = asset_.faces.flatten().to(at::kLong);
   corner_faces_ = at::arange(corner_index_.size(0), asset_.faces.options()).view({-1, 3});
@@ -82,7 +82,7 @@ Tensor AssetRenderer::render(const std::vector<Camera>& cameras) const {
       attribute_derivatives(corner_uvs_, rast, clip.index_select(1, corner_index_), corner_faces_);
   const Tensor color = texture(texels_, uv, derivatives, rast);
   const Tensor alpha = (rast.narrow(3, 3, 1) > 0).to(at::kFloat);
-  return antialias(at::cat({color, alpha}, 3), rast, clip, asset_.faces, opposites_);
+  return antialias(at::cat({color, alpha}, 3), rast, clip, asset_.faces, twins_);
 }
 
 }  // namespace tt3d

@@ -10,7 +10,7 @@ namespace tt3d {
 using at::Tensor;
 
 RenderMesh::RenderMesh(const Tensor& mesh_faces)
-    : faces(mesh_faces.contiguous()), opposites(edge_opposites(faces)) {}
+    : faces(mesh_faces.contiguous()), twins(edge_twins(faces)) {}
 
 Tensor clip_matrices(const std::vector<Camera>& cameras, double extent) {
   Tensor matrices = at::empty({static_cast<int64_t>(cameras.size()), 4, 4});
@@ -46,7 +46,7 @@ Tensor render_mesh(const Tensor& vertices, const Tensor& rest, const RenderMesh&
   const Tensor picture = at::zeros({views * height * width, shaded.size(1)}, shaded.options())
                              .index_copy(0, covered, shaded)
                              .view({views, height, width, shaded.size(1)});
-  return antialias(picture, rast, clip, mesh.faces, mesh.opposites);
+  return antialias(picture, rast, clip, mesh.faces, mesh.twins);
 }
 
 }  // namespace tt3d

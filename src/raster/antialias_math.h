@@ -25,37 +25,81 @@ TT3D_HD Relative relative_to(const T* clip, int32_t vertex, double px, double py
 
 TT3D_HD double cross(const Relative& p, const Relative& q) { return p.x * q.y - p.y * q.x; }
 
-/// Whether the faces on both sides of edge (v0,v1) lie on the same side of it on the screen, seen
-/// from pixel P; an edge without a second face is always a silhouette.
+/// Body: which way face i (of all views) is turned, 1 where its vertices go counter-clockwise. The
+/// determinant of its clip positions without z has the sign of its area on the screen, also where
+/// vertices are behind the camera (Olano & Greer 1997).
 template <typename T>
-TT3D_HD bool is_silhouette(const T* clip, int32_t v0, int32_t v1, int32_t own, int32_t opposite,
-                           double px, double py) {
-  if (opposite < 0) return true;
-  const Relative a = relative_to(clip, v0, px, py);
-  const Relative b = relative_to(clip, v1, px, py);
-  const Relative p = relative_to(clip, own, px, py);
-  const Relative q = relative_to(clip, opposite, px, py);
-  // Signed area of the homogeneous triangle: sum of its three edge functions.
-  const double own_area = cross(a, b) + cross(b, p) + cross(p, a);
-  const double other_area = cross(a, b) + cross(b, q) + cross(q, a);
-  return (own_area > 0) == (other_area > 0);
-}
+struct FacingFace {
+  const T* clip;
+  const int32_t* faces;
+  uint8_t* facing;  ///< [N,F]
+  Sizes s;
+  TT3D_HD void operator()(int64_t i) const {
+    const int64_t view = i / s.faces;
+    const int32_t* triangle = faces + 3 * (i - view * s.faces);
+    const T* points = clip + view * s.vertices * 4;
+    const ClipVertex a = load_vertex(points, triangle[0]);
+    const ClipVertex b = load_vertex(points, triangle[1]);
+    const ClipVertex c = load_vertex(points, triangle[2]);
+    const double determinant = a.x * (b.y * c.w - b.w * c.y) - a.y * (b.x * c.w - b.w * c.x) +
+                               a.w * (b.x * c.y - b.y * c.x);
+    facing[i] = determinant > 0;
+  }
+};
+
+/// Body: which edges of face i (of all views) are silhouettes, bit k for edge k: those where both
+/// faces lie on the same side on the screen, and those without a second face.
+struct SilhouetteEdges {
+  const int32_t* faces;
+  const int32_t* twins;   ///< [F,3], from edge_twins
+  const uint8_t* facing;  ///< [N,F], from FacingFace
+  uint8_t* edges;         ///< [N,F]
+  Sizes s;
+  TT3D_HD void operator()(int64_t i) const {
+    const int64_t first = i / s.faces * s.faces, face = i - first;
+    unsigned bits = 0;
+    for (int k = 0; k < 3; ++k) {
+      const int32_t twin = twins[3 * face + k];
+      if (twin < 0) {
+        bits |= 1U << k;
+        continue;
+      }
+      const int32_t other = twin / 3, corner = twin - 3 * other;
+      // Faces of one orientation run along their common edge in opposite directions.
+      const bool agree = faces[3 * static_cast<int64_t>(other) + (corner + 1) % 3] ==
+                         faces[3 * face + (k + 2) % 3];
+      if ((facing[i] == facing[first + other]) != agree) bits |= 1U << k;
+    }
+    edges[i] = static_cast<uint8_t>(bits);
+  }
+};
+
+/// What antialias reads of one view.
+template <typename T>
+struct AntialiasView {
+  const T* clip;              ///< [V,4]
+  const int32_t* faces;       ///< [F,3]
+  const uint8_t* silhouette;  ///< [F], from SilhouetteEdges
+};
 
 /// Finds the silhouette edge of the nearer of two pixels' triangles that passes between the pixel
 /// centres A = (ax,ay) and B = (bx,by). The pair is horizontal or vertical.
 template <typename T>
-TT3D_HD bool find_crossing(const T* clip, const int32_t* faces, const int32_t* opposites,
-                           const T* rast_a, const T* rast_b, double ax, double ay, double bx,
-                           double by, bool horizontal, EdgeCrossing& crossing) {
+TT3D_HD bool find_crossing(const AntialiasView<T>& view, const T* rast_a, const T* rast_b,
+                           double ax, double ay, double bx, double by, bool horizontal,
+                           EdgeCrossing& crossing) {
   const auto face_a = static_cast<int64_t>(rast_a[3]) - 1;
   const auto face_b = static_cast<int64_t>(rast_b[3]) - 1;
   if (face_a == face_b) return false;
   crossing.near_is_a = face_b < 0 || (face_a >= 0 && rast_a[2] < rast_b[2]);
   const int64_t face = crossing.near_is_a ? face_a : face_b;
-  const int32_t* triangle = faces + face * 3;
+  const unsigned silhouette = view.silhouette[face];
+  if (silhouette == 0) return false;  // nearly always
+  const int32_t* triangle = view.faces + face * 3;
   for (int k = 0; k < 3; ++k) {
+    if ((silhouette >> k & 1U) == 0) continue;
     const int32_t v0 = triangle[(k + 1) % 3], v1 = triangle[(k + 2) % 3];
-    const ClipVertex p0 = load_vertex(clip, v0), p1 = load_vertex(clip, v1);
+    const ClipVertex p0 = load_vertex(view.clip, v0), p1 = load_vertex(view.clip, v1);
     if (!(p0.w > 0) || !(p1.w > 0)) continue;
     const Relative a0 = {p0.x - ax * p0.w, p0.y - ay * p0.w};
     const Relative a1 = {p1.x - ax * p1.w, p1.y - ay * p1.w};
@@ -66,7 +110,6 @@ TT3D_HD bool find_crossing(const T* clip, const int32_t* faces, const int32_t* o
     const double e_b =
         cross({p0.x - bx * p0.w, p0.y - by * p0.w}, {p1.x - bx * p1.w, p1.y - by * p1.w});
     if ((e_a > 0) == (e_b > 0) || e_a == e_b) continue;
-    if (!is_silhouette(clip, v0, v1, triangle[k], opposites[face * 3 + k], ax, ay)) continue;
     crossing.v0 = v0;
     crossing.v1 = v1;
     crossing.position = e_a / (e_a - e_b);
@@ -115,13 +158,16 @@ TT3D_HD void crossing_backward(const T* clip, const EdgeCrossing& crossing, doub
   grad1[3] -= grad_a * (-ax * a0.y + ay * a0.x) + grad_b * (-bx * b0.y + by * b0.x);
 }
 
-/// What antialias reads of the scene.
+/// What antialias reads of all views.
 template <typename T>
 struct AntialiasScene {
   const T* rast;
   const T* clip;
   const int32_t* faces;
-  const int32_t* opposites;
+  const uint8_t* silhouette;  ///< [N,F]
+  [[nodiscard]] TT3D_HD AntialiasView<T> view(int64_t n, const Sizes& s) const {
+    return {clip + n * s.vertices * 4, faces, silhouette + n * s.faces};
+  }
 };
 
 /// Two neighbouring pixels that a silhouette edge separates.
@@ -144,9 +190,8 @@ TT3D_HD bool crossed_pair(const AntialiasScene<T>& scene, const Sizes& s, const 
   pair.ay = pixel_y(at.row, s.height);
   pair.bx = horizontal ? pixel_x(at.column + 1, s.width) : pair.ax;
   pair.by = horizontal ? pair.ay : pixel_y(at.row + 1, s.height);
-  return find_crossing(scene.clip + at.view * s.vertices * 4, scene.faces, scene.opposites,
-                       scene.rast + 4 * pair.a, scene.rast + 4 * pair.b, pair.ax, pair.ay, pair.bx,
-                       pair.by, horizontal, pair.crossing);
+  return find_crossing(scene.view(at.view, s), scene.rast + 4 * pair.a, scene.rast + 4 * pair.b,
+                       pair.ax, pair.ay, pair.bx, pair.by, horizontal, pair.crossing);
 }
 
 template <typename T>

@@ -1,7 +1,7 @@
 #include "raster_kernels.h"
 #include "tt3d/cuda.h"
 
-// The bodies that the GPU runs a pixel a thread.
+// The bodies that the GPU runs a pixel or a face a thread.
 namespace tt3d {
 
 #define TT3D_INSTANTIATE(T)                                                                        \
@@ -11,6 +11,7 @@ namespace tt3d {
   template void for_each_index(const Cuda&, int64_t,                                               \
                                const raster::InterpolateBackwardAttributes<T>&);                   \
   template void for_each_index(const Cuda&, int64_t, const raster::AttributeDerivativesPixel<T>&); \
+  template void for_each_index(const Cuda&, int64_t, const raster::FacingFace<T>&);                \
   template void for_each_index(const Cuda&, int64_t, const raster::AntialiasPixel<T>&);            \
   template void for_each_index(const Cuda&, int64_t, const raster::AntialiasBackwardPixel<T>&);    \
   template void for_each_index(const Cuda&, int64_t, const raster::TexturePixel<T>&);              \
@@ -18,5 +19,6 @@ namespace tt3d {
 TT3D_INSTANTIATE(float)
 TT3D_INSTANTIATE(double)
 #undef TT3D_INSTANTIATE
+template void for_each_index(const Cuda&, int64_t, const raster::SilhouetteEdges&);
 
 }  // namespace tt3d

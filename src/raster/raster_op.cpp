@@ -137,25 +137,44 @@ struct Interpolate : public Function<Interpolate> {
 
 template <typename T>
 raster::AntialiasScene<T> scene_of(const Tensor& rast, const Tensor& clip, const Tensor& faces,
-                                   const Tensor& opposites) {
+                                   const Tensor& silhouette) {
   return {rast.const_data_ptr<T>(), clip.const_data_ptr<T>(), faces.const_data_ptr<int32_t>(),
-          opposites.const_data_ptr<int32_t>()};
+          silhouette.const_data_ptr<uint8_t>()};
+}
+
+/// Which edges of each face are silhouettes in each view, [N,F] uint8.
+Tensor silhouette_edges(const Tensor& clip, const Tensor& faces, const Tensor& twins,
+                        const raster::Sizes& s) {
+  Tensor facing = at::empty({s.views, s.faces}, faces.options().dtype(at::kByte));
+  Tensor edges = at::empty_like(facing);
+  TT3D_DISPATCH(clip, "antialias_facing", [&] {
+    const raster::FacingFace<scalar_t> body = {clip.const_data_ptr<scalar_t>(),
+                                               faces.const_data_ptr<int32_t>(),
+                                               facing.mutable_data_ptr<uint8_t>(), s};
+    for_each_index_on(clip, s.views * s.faces, body);
+  });
+  const raster::SilhouetteEdges body = {
+      faces.const_data_ptr<int32_t>(), twins.const_data_ptr<int32_t>(),
+      facing.const_data_ptr<uint8_t>(), edges.mutable_data_ptr<uint8_t>(), s};
+  for_each_index_on(clip, s.views * s.faces, body);
+  return edges;
 }
 
 struct Antialias : public Function<Antialias> {
   static Tensor forward(AutogradContext* ctx, const Tensor& color_in, const Tensor& rast,
-                        const Tensor& clip_in, const Tensor& faces, const Tensor& opposites) {
+                        const Tensor& clip_in, const Tensor& faces, const Tensor& twins) {
     const Tensor color = color_in.contiguous();
     const Tensor clip = clip_in.contiguous();
     Tensor out = color.clone();
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
+    const Tensor silhouette = silhouette_edges(clip, faces, twins, s);
     TT3D_DISPATCH(out, "antialias", [&] {
       const raster::AntialiasPixel<scalar_t> body = {
-          scene_of<scalar_t>(rast, clip, faces, opposites), color.const_data_ptr<scalar_t>(),
+          scene_of<scalar_t>(rast, clip, faces, silhouette), color.const_data_ptr<scalar_t>(),
           out.mutable_data_ptr<scalar_t>(), s};
       on_device_of(out, [&](const auto& on) { raster::scatter(on, body); });
     });
-    ctx->save_for_backward({color, rast, clip, faces, opposites});
+    ctx->save_for_backward({color, rast, clip, faces, silhouette});
     return out;
   }
   static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
@@ -304,47 +323,44 @@ Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
   return out;
 }
 
-Tensor edge_opposites(const Tensor& faces_in) {
+Tensor edge_twins(const Tensor& faces_in) {
   check_indices(faces_in, "faces");
   const Tensor faces = faces_in.cpu();  // once a mesh, not once a step
   struct Sides {
     int32_t count = 0;
-    int32_t opposite_sum = 0;  // of the first two; own one is subtracted to find the other
+    int32_t sum = 0;  // of the first two sides; subtracting one's own leaves the other
   };
   const int64_t count = faces.size(0);
   const int32_t* f = faces.const_data_ptr<int32_t>();
-  const auto key_of = [&](int64_t face, int k) {
+  const auto key_of = [&](int64_t side) {
+    const int64_t face = side / 3, k = side % 3;
     const auto a = static_cast<uint64_t>(f[3 * face + (k + 1) % 3]);
     const auto b = static_cast<uint64_t>(f[3 * face + (k + 2) % 3]);
     return (std::min(a, b) << 32) | std::max(a, b);
   };
   std::unordered_map<uint64_t, Sides> edges;
   edges.reserve(static_cast<size_t>(count) * 3 / 2);
-  for (int64_t i = 0; i < count; ++i) {
-    for (int k = 0; k < 3; ++k) {
-      Sides& sides = edges[key_of(i, k)];
-      if (++sides.count <= 2) sides.opposite_sum += f[3 * i + k];
-    }
+  for (int64_t side = 0; side < 3 * count; ++side) {
+    Sides& sides = edges[key_of(side)];
+    if (++sides.count <= 2) sides.sum += static_cast<int32_t>(side);
   }
-  Tensor opposites = at::empty({count, 3}, faces.options());
-  auto* out = opposites.mutable_data_ptr<int32_t>();
-  for (int64_t i = 0; i < count; ++i) {
-    for (int k = 0; k < 3; ++k) {
-      const Sides& sides = edges.at(key_of(i, k));
-      out[3 * i + k] = sides.count == 2 ? sides.opposite_sum - f[3 * i + k] : -1;
-    }
+  Tensor twins = at::empty({count, 3}, faces.options());
+  auto* out = twins.mutable_data_ptr<int32_t>();
+  for (int64_t side = 0; side < 3 * count; ++side) {
+    const Sides& sides = edges.at(key_of(side));
+    out[side] = sides.count == 2 ? sides.sum - static_cast<int32_t>(side) : -1;
   }
-  return opposites.to(faces_in.device());
+  return twins.to(faces_in.device());
 }
 
 Tensor antialias(const Tensor& color, const Tensor& rast, const Tensor& clip, const Tensor& faces,
-                 const Tensor& opposites) {
+                 const Tensor& twins) {
   TORCH_CHECK(color.dim() == 4, "color must be [N,H,W,C]");
   check_rast(rast);
   check_indices(faces, "faces");
-  check_indices(opposites, "opposites");
-  check_same_device("antialias", {color, rast, clip, faces, opposites});
-  return Antialias::apply(color, rast.detach().contiguous(), clip, faces, opposites);
+  check_indices(twins, "twins");
+  check_same_device("antialias", {color, rast, clip, faces, twins});
+  return Antialias::apply(color, rast.detach().contiguous(), clip, faces, twins);
 }
 
 Tensor texture(const Tensor& texture, const Tensor& uv, const Tensor& uv_derivatives,

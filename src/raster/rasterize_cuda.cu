@@ -82,7 +82,9 @@ __device__ void draw_batch(const TriangleSetup* setups, const int32_t* ids, int 
     if (column < t.x_begin || column >= t.x_end || row < t.y_begin || row >= t.y_end) continue;
     Hit hit;
     if (!hit_triangle(t, px, py, hit)) continue;
-    if (hides(hit.zw, ids[k], shown.depth, shown.face)) shown = {hit.u, hit.v, hit.zw, ids[k]};
+    if (hides(hit.zw, ids[k], shown.depth, shown.face)) {
+      shown = {hit.weight(0), hit.weight(1), hit.zw, ids[k]};
+    }
   }
 }
 

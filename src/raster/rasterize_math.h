@@ -72,19 +72,40 @@ struct TriangleSetup {
 
 /// Coordinate of pixel column c in normalised device coordinates.
 TT3D_HD double pixel_x(int64_t c, int64_t width) {
-  return (2.0 * static_cast<double>(c) + 1.0) / static_cast<double>(width) - 1.0;
+  const double inverse = 1.0 / static_cast<double>(width);  // once a loop, not once a pixel
+  return (2.0 * static_cast<double>(c) + 1.0) * inverse - 1.0;
 }
 
 /// Coordinate of pixel row r, row 0 at the top (y = +1).
 TT3D_HD double pixel_y(int64_t r, int64_t height) {
-  return 1.0 - (2.0 * static_cast<double>(r) + 1.0) / static_cast<double>(height);
+  const double inverse = 1.0 / static_cast<double>(height);
+  return 1.0 - (2.0 * static_cast<double>(r) + 1.0) * inverse;
 }
 
-TT3D_HD int clamp_pixel(double value, int64_t limit) {
-  // The comparison form sends NaN to 0.
-  return value > 0 ? (value < static_cast<double>(limit) ? static_cast<int>(value)
-                                                         : static_cast<int>(limit))
-                   : 0;
+/// The smallest pixel in [0,limit] that is not below `value`; NaN gives 0. (Not std::ceil, which is
+/// a call on processors without SSE4.1, the build's baseline.)
+TT3D_HD int pixel_from(double value, int64_t limit) {
+  if (!(value > 0)) return 0;
+  if (value >= static_cast<double>(limit)) return static_cast<int>(limit);
+  const int whole = static_cast<int>(value);
+  return whole + (static_cast<double>(whole) < value ? 1 : 0);
+}
+
+/// One past the largest pixel in [0,limit) that is not above `value`; NaN gives 0.
+TT3D_HD int pixel_past(double value, int64_t limit) {
+  if (!(value >= 0)) return 0;
+  return value >= static_cast<double>(limit) ? static_cast<int>(limit)
+                                             : static_cast<int>(value) + 1;
+}
+
+TT3D_HD double least(double a, double b, double c) {
+  const double ab = a < b ? a : b;
+  return ab < c ? ab : c;
+}
+
+TT3D_HD double greatest(double a, double b, double c) {
+  const double ab = a > b ? a : b;
+  return ab > c ? ab : c;
 }
 
 /// Pixel range of a triangle; the whole picture when a vertex is behind the camera.
@@ -95,18 +116,21 @@ TT3D_HD void set_bounds(const ClipVertex v[3], int64_t height, int64_t width,
   setup.x_end = static_cast<int>(width);
   setup.y_end = static_cast<int>(height);
   if (!(v[0].w > 0 && v[1].w > 0 && v[2].w > 0)) return;
-  const double x[3] = {v[0].x / v[0].w, v[1].x / v[1].w, v[2].x / v[2].w};
-  const double y[3] = {v[0].y / v[0].w, v[1].y / v[1].w, v[2].y / v[2].w};
   const double half_w = 0.5 * static_cast<double>(width);
   const double half_h = 0.5 * static_cast<double>(height);
-  const double x_low = fmin(x[0], fmin(x[1], x[2])), x_high = fmax(x[0], fmax(x[1], x[2]));
-  const double y_low = fmin(y[0], fmin(y[1], y[2])), y_high = fmax(y[0], fmax(y[1], y[2]));
-  // Pixel c has its centre at c + .5; a margin covers rounding, the edge functions decide.
+  double x[3], y[3];
+  for (int k = 0; k < 3; ++k) {
+    const double inverse = 1 / v[k].w;
+    // Pixel c has its centre at c + .5.
+    x[k] = (v[k].x * inverse + 1) * half_w - 0.5;
+    y[k] = (1 - v[k].y * inverse) * half_h - 0.5;
+  }
+  // A margin covers rounding, the edge functions decide.
   constexpr double kMargin = 1e-6;
-  setup.x_begin = clamp_pixel(ceil((x_low + 1) * half_w - 0.5 - kMargin), width);
-  setup.x_end = clamp_pixel(floor((x_high + 1) * half_w - 0.5 + kMargin) + 1, width);
-  setup.y_begin = clamp_pixel(ceil((1 - y_high) * half_h - 0.5 - kMargin), height);
-  setup.y_end = clamp_pixel(floor((1 - y_low) * half_h - 0.5 + kMargin) + 1, height);
+  setup.x_begin = pixel_from(least(x[0], x[1], x[2]) - kMargin, width);
+  setup.x_end = pixel_past(greatest(x[0], x[1], x[2]) + kMargin, width);
+  setup.y_begin = pixel_from(least(y[0], y[1], y[2]) - kMargin, height);
+  setup.y_end = pixel_past(greatest(y[0], y[1], y[2]) + kMargin, height);
 }
 
 /// Prepares a triangle. False when it cannot cover a pixel (behind the camera, zero area, no
@@ -129,24 +153,35 @@ TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, 
   return true;
 }
 
-/// A covered pixel.
+/// A covered pixel: the edge functions' values there, and the depth z/w.
 struct Hit {
-  double u, v, zw;
+  double e[3];
+  double zw;
+  /// Perspective-correct weight of vertex k.
+  [[nodiscard]] TT3D_HD double weight(int k) const { return e[k] / (e[0] + e[1] + e[2]); }
 };
+
+/// Whether the pixel at which the edge functions have values e lies inside: on the same side of
+/// all edges.
+TT3D_HD bool inside(const TriangleSetup& t, const double e[3]) {
+  if (e[0] > 0 && e[1] > 0 && e[2] > 0) return true;
+  if (e[0] < 0 && e[1] < 0 && e[2] < 0) return true;
+  if (e[0] != 0 && e[1] != 0 && e[2] != 0) return false;
+  const int side = t.edge[0].sign_at(e[0]);
+  return side != 0 && t.edge[1].sign_at(e[1]) == side && t.edge[2].sign_at(e[2]) == side &&
+         e[0] + e[1] + e[2] != 0;
+}
 
 /// Whether the triangle covers the pixel at (px,py), and where.
 TT3D_HD bool hit_triangle(const TriangleSetup& t, double px, double py, Hit& hit) {
-  const double e0 = t.edge[0].at(px, py);
-  const double e1 = t.edge[1].at(px, py);
-  const double e2 = t.edge[2].at(px, py);
-  const int s0 = t.edge[0].sign_at(e0);
-  if (s0 == 0 || t.edge[1].sign_at(e1) != s0 || t.edge[2].sign_at(e2) != s0) return false;
-  const double sum = e0 + e1 + e2;
-  if (sum == 0) return false;
-  const double b0 = e0 / sum, b1 = e1 / sum, b2 = e2 / sum;
-  const double w = b0 * t.w[0] + b1 * t.w[1] + b2 * t.w[2];
-  if (!(w > 0)) return false;
-  hit = {b0, b1, (b0 * t.z[0] + b1 * t.z[1] + b2 * t.z[2]) / w};
+  for (int k = 0; k < 3; ++k) hit.e[k] = t.edge[k].at(px, py);
+  if (!inside(t, hit.e)) return false;
+  // Both share the factor 1 / (e0 + e1 + e2), which the depth does not need.
+  const double w = hit.e[0] * t.w[0] + hit.e[1] * t.w[1] + hit.e[2] * t.w[2];
+  const double z = hit.e[0] * t.z[0] + hit.e[1] * t.z[1] + hit.e[2] * t.z[2];
+  const bool front = (w > 0) == (hit.e[0] + hit.e[1] + hit.e[2] > 0) && w != 0;
+  if (!front) return false;
+  hit.zw = z / w;
   return hit.zw >= -1 && hit.zw <= 1;
 }
 
@@ -174,8 +209,9 @@ TT3D_HD void rasterize_backward(const T* clip, const int32_t* face, double px, d
   }
   const double sum = a[0] + a[1] + a[2];
   if (sum == 0) return;
-  const double mean = (grad_u * a[0] + grad_v * a[1]) / sum;
-  const double grad_a[3] = {(grad_u - mean) / sum, (grad_v - mean) / sum, -mean / sum};
+  const double inverse = 1 / sum;
+  const double mean = (grad_u * a[0] + grad_v * a[1]) * inverse;
+  const double grad_a[3] = {(grad_u - mean) * inverse, (grad_v - mean) * inverse, -mean * inverse};
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3, j = (k + 2) % 3;
     // Vertex k enters a_j = cross(p_k, p_i) and a_i = cross(p_j, p_k).
@@ -196,12 +232,13 @@ struct RasterizeBackwardPixel {
   const T* grad_rast;
   T* grad_clip;
   Sizes s;
-  TT3D_HD void operator()(int64_t i) const {
+  TT3D_HD void operator()(int64_t i) const { (*this)(place_of(i, s)); }
+  TT3D_HD void operator()(const PixelPlace& at) const {
+    const int64_t i = (at.view * s.height + at.row) * s.width + at.column;
     const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
     const double grad_u = static_cast<double>(grad_rast[4 * i]);
     const double grad_v = static_cast<double>(grad_rast[4 * i + 1]);
     if (face < 0 || (grad_u == 0 && grad_v == 0)) return;
-    const PixelPlace at = place_of(i, s);
     const int32_t* triangle = faces + 3 * face;
     double grad[3][4] = {};
     rasterize_backward(clip + at.view * s.vertices * 4, triangle, pixel_x(at.column, s.width),
@@ -233,8 +270,9 @@ TT3D_HD void barycentric_derivatives(const T* clip, const int32_t* face, double 
   const double inverse = sum != 0 ? 1.0 / sum : 0.0;
   for (int k = 0; k < 2; ++k) {
     const double weight = value[k] * inverse;
-    out[2 * k] = (e[k].a - weight * sum_x) * inverse * x_step;
-    out[2 * k + 1] = (e[k].b - weight * sum_y) * inverse * y_step;
+    double* row = out + 2 * static_cast<int64_t>(k);
+    row[0] = (e[k].a - weight * sum_x) * inverse * x_step;
+    row[1] = (e[k].b - weight * sum_y) * inverse * y_step;
   }
 }
 

@@ -169,7 +169,7 @@ TEST_F(RasterOnGpu, AttributeDerivatives) {
 
 TEST_F(RasterOnGpu, AntialiasAndItsGradients) {
   for (const Scene& s : finite_scenes()) {
-    const Tensor opposites = edge_opposites(s.faces);
+    const Tensor twins = edge_twins(s.faces);
     const Tensor rast = shown(s, s.clip);
     const Tensor color = uniform({rast.size(0), s.height, s.width, 4}, 0, 1, 33);
     for (const auto& [dtype, tolerance] :
@@ -179,8 +179,7 @@ TEST_F(RasterOnGpu, AntialiasAndItsGradients) {
           s.name, gpu,
           [&](const auto& in) {
             const at::Device device = in[0].device();
-            return antialias(in[0], fixed.to(device), in[1], s.faces.to(device),
-                             opposites.to(device));
+            return antialias(in[0], fixed.to(device), in[1], s.faces.to(device), twins.to(device));
           },
           {color.to(dtype), s.clip.to(dtype)}, tolerance);
     }
@@ -189,9 +188,9 @@ TEST_F(RasterOnGpu, AntialiasAndItsGradients) {
 
 TEST_F(RasterOnGpu, EdgeOppositesStayOnTheDevice) {
   const testing::Shape shape = testing::sphere(2);
-  const Tensor b = edge_opposites(shape.faces.to(gpu));
+  const Tensor b = edge_twins(shape.faces.to(gpu));
   EXPECT_EQ(b.device(), gpu);
-  EXPECT_TRUE(at::equal(edge_opposites(shape.faces), b.cpu()));
+  EXPECT_TRUE(at::equal(edge_twins(shape.faces), b.cpu()));
 }
 
 TEST_F(RasterOnGpu, TextureAndItsGradients) {

@@ -69,13 +69,13 @@ TEST(RasterGradient, InterpolateAgainstCentralDifferences) {
 
 TEST(RasterGradient, AntialiasAgainstCentralDifferences) {
   const at::Tensor faces = scene_faces();
-  const at::Tensor opposites = edge_opposites(faces);
+  const at::Tensor twins = edge_twins(faces);
   const at::Tensor weight = uniform({2, kSize, kSize, 2}, -1, 1, 16);
   // Coverage is frozen: the crossing positions alone carry the gradient, as documented.
   const at::Tensor rast = rasterize(scene_clip(), faces, kSize, kSize);
   const double error = gradient_error(
       [&](const std::vector<at::Tensor>& in) {
-        return (antialias(in[0], rast, in[1], faces, opposites).square() * weight).sum();
+        return (antialias(in[0], rast, in[1], faces, twins).square() * weight).sum();
       },
       {uniform({2, kSize, kSize, 2}, 0, 1, 17), scene_clip()}, 1e-7);
   EXPECT_LT(error, 1e-5);
@@ -84,7 +84,7 @@ TEST(RasterGradient, AntialiasAgainstCentralDifferences) {
 TEST(RasterGradient, AreaOfADiscFollowsItsRadius) {
   // d(area)/d(radius) of an antialiased disc is its circumference: the promise of silhouettes.
   const testing::Shape shape = testing::sphere(4);
-  const at::Tensor opposites = edge_opposites(shape.faces);
+  const at::Tensor twins = edge_twins(shape.faces);
   at::Tensor radius = at::full({}, 0.7, at::kDouble).requires_grad_(true);
   const at::Tensor v = shape.vertices.to(at::kDouble) * radius;
   const at::Tensor clip =
@@ -95,7 +95,7 @@ TEST(RasterGradient, AreaOfADiscFollowsItsRadius) {
   const at::Tensor rast = rasterize(clip, shape.faces, kPixels, kPixels);
   const at::Tensor alpha = (rast.narrow(-1, 3, 1) > 0).to(at::kDouble);
   const at::Tensor area =
-      antialias(alpha, rast, clip, shape.faces, opposites).sum() * (4.0 / (kPixels * kPixels));
+      antialias(alpha, rast, clip, shape.faces, twins).sum() * (4.0 / (kPixels * kPixels));
   EXPECT_NEAR(area.item<double>(), 3.14159 * 0.49, 0.01);
   area.backward();
   EXPECT_NEAR(radius.grad().item<double>(), 2 * 3.14159 * 0.7, 0.25);

@@ -173,7 +173,7 @@ TEST(Rasterize, SameBytesWithOneAndTwoThreads) {
     const at::Tensor rast = rasterize(c, shape.faces, 64, 64);
     const at::Tensor a = shape.vertices.clone().requires_grad_(true);
     const at::Tensor p = interpolate(a, rast, shape.faces);
-    const at::Tensor out = antialias(p * color, rast, c, shape.faces, edge_opposites(shape.faces));
+    const at::Tensor out = antialias(p * color, rast, c, shape.faces, edge_twins(shape.faces));
     out.square().sum().backward();
     results.push_back(at::cat({out.detach().flatten(), c.grad().flatten(), a.grad().flatten()}));
   }
@@ -181,15 +181,33 @@ TEST(Rasterize, SameBytesWithOneAndTwoThreads) {
   EXPECT_TRUE(at::equal(results[0], results[1]));
 }
 
-TEST(EdgeOpposites, ClosedOpenAndNonManifold) {
+TEST(EdgeTwins, ClosedOpenAndNonManifold) {
   const Shape closed = testing::sphere(1);
-  EXPECT_GE(edge_opposites(closed.faces).min().item<int32_t>(), 0);
-  const at::Tensor open = edge_opposites(faces_of({{0, 1, 2}, {2, 1, 3}}));
-  EXPECT_EQ(open[0][0].item<int32_t>(), 3);
+  const at::Tensor twins = edge_twins(closed.faces).flatten().to(at::kLong);
+  ASSERT_GE(twins.min().item<int64_t>(), 0);
+  EXPECT_TRUE(at::equal(twins.index_select(0, twins), at::arange(twins.numel())));
+  const at::Tensor open = edge_twins(faces_of({{0, 1, 2}, {2, 1, 3}}));
+  EXPECT_EQ(open[0][0].item<int32_t>(), 3 * 1 + 2);  // edge 1-2 is opposite vertex 3
   EXPECT_EQ(open[1][2].item<int32_t>(), 0);
   EXPECT_EQ(open[0][1].item<int32_t>(), -1);
-  const at::Tensor fin = edge_opposites(faces_of({{0, 1, 2}, {2, 1, 3}, {1, 2, 4}}));
+  const at::Tensor fin = edge_twins(faces_of({{0, 1, 2}, {2, 1, 3}, {1, 2, 4}}));
   EXPECT_EQ(fin[0][0].item<int32_t>(), -1);
+}
+
+TEST(Antialias, SilhouettesDoNotDependOnOrientation) {
+  // The same sphere with every third face turned around.
+  const Shape shape = testing::sphere(1, 0.9F);
+  at::Tensor mixed = shape.faces.clone();
+  mixed.slice(0, 0, mixed.size(0), 3).copy_(shape.faces.slice(0, 0, mixed.size(0), 3).flip(1));
+  const at::Tensor clip = perspective(shape.vertices);
+  const auto draw = [&](const at::Tensor& faces) {
+    const at::Tensor rast = rasterize(clip, faces, 64, 64);
+    const at::Tensor alpha = (rast.narrow(3, 3, 1) > 0).to(at::kFloat);
+    return antialias(alpha, rast, clip, faces, edge_twins(faces));
+  };
+  const at::Tensor plain = draw(shape.faces.contiguous());
+  EXPECT_GT((plain.gt(0) & plain.lt(1)).sum().item<int64_t>(), 20);
+  EXPECT_TRUE(at::allclose(plain, draw(mixed.contiguous())));
 }
 
 TEST(Antialias, CoverageOfAHalfPlaneIsItsArea) {
@@ -200,7 +218,7 @@ TEST(Antialias, CoverageOfAHalfPlaneIsItsArea) {
     const at::Tensor faces = faces_of({{0, 1, 2}, {0, 2, 3}});
     const at::Tensor rast = rasterize(clip, faces, 8, 8);
     const at::Tensor alpha = (rast.narrow(-1, 3, 1) > 0).to(at::kFloat);
-    const at::Tensor out = antialias(alpha, rast, clip, faces, edge_opposites(faces));
+    const at::Tensor out = antialias(alpha, rast, clip, faces, edge_twins(faces));
     EXPECT_NEAR(out[0][4][4][0].item<double>(), share, 1e-5);
     EXPECT_NEAR(out[0][4][3][0].item<double>(), 1, 1e-6);
     EXPECT_NEAR(out[0][4][5][0].item<double>(), 0, 1e-6);
@@ -212,7 +230,7 @@ TEST(Antialias, InnerEdgesStaySharp) {
   const at::Tensor clip = perspective(shape.vertices);
   const at::Tensor rast = rasterize(clip, shape.faces, 48, 48);
   const at::Tensor color = rast.narrow(-1, 3, 1).contiguous();
-  const at::Tensor out = antialias(color, rast, clip, shape.faces, edge_opposites(shape.faces));
+  const at::Tensor out = antialias(color, rast, clip, shape.faces, edge_twins(shape.faces));
   // Well inside the disc nothing changes although triangles differ from pixel to pixel.
   EXPECT_TRUE(at::equal(out.narrow(1, 18, 12).narrow(2, 18, 12),
                         color.narrow(1, 18, 12).narrow(2, 18, 12)));

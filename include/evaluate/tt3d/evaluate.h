@@ -38,7 +38,7 @@ class AssetRenderer {
  private:
   TexturedMesh asset_;
   at::Tensor texels_;  ///< [H,W,3] float
-  at::Tensor opposites_;
+  at::Tensor twins_;
   at::Tensor corner_uvs_, corner_faces_, corner_index_;  ///< for texture derivatives
   double extent_ = 1;
 };

@@ -75,8 +75,8 @@ using SurfaceShader = std::function<at::Tensor(const at::Tensor& points)>;
 
 /// A mesh's fixed part, prepared for rendering.
 struct RenderMesh {
-  at::Tensor faces;      ///< [F,3]
-  at::Tensor opposites;  ///< from edge_opposites
+  at::Tensor faces;  ///< [F,3]
+  at::Tensor twins;  ///< from edge_twins
   explicit RenderMesh(const at::Tensor& mesh_faces);
 };
 

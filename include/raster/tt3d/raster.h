@@ -36,19 +36,19 @@ namespace tt3d {
 [[nodiscard]] at::Tensor attribute_derivatives(const at::Tensor& attributes, const at::Tensor& rast,
                                                const at::Tensor& clip, const at::Tensor& faces);
 
-/// For each face's edge e (opposite its vertex e): the vertex of the neighbouring face across
-/// that edge, or -1 where there is none or more than one neighbour. Returns [F,3] int32.
-[[nodiscard]] at::Tensor edge_opposites(const at::Tensor& faces);
+/// For each face's edge e (opposite its vertex e): the same edge in the neighbouring face, as
+/// 3 * face + edge, or -1 where there is none or more than one neighbour. Returns [F,3] int32.
+[[nodiscard]] at::Tensor edge_twins(const at::Tensor& faces);
 
 /// Antialiases silhouettes, and so gives coverage a gradient with respect to vertex positions:
 /// where two neighbouring pixels show different triangles and a silhouette edge of the nearer one
 /// passes between their centres, the pixel that the edge cuts is blended with its neighbour by
 /// the share of it that the edge uncovers (Laine et al. 2020, section 3.5).
-/// color [N,H,W,C]; opposites from edge_opposites. Returns [N,H,W,C]. Differentiable with respect
+/// color [N,H,W,C]; twins from edge_twins. Returns [N,H,W,C]. Differentiable with respect
 /// to color and clip. Do this on premultiplied colour with alpha, and composite after.
 [[nodiscard]] at::Tensor antialias(const at::Tensor& color, const at::Tensor& rast,
                                    const at::Tensor& clip, const at::Tensor& faces,
-                                   const at::Tensor& opposites);
+                                   const at::Tensor& twins);
 
 /// Texture look-up, bilinear within and between mipmap levels, wrapped at the borders.
 /// texture [H,W,C]; uv [N,h,w,2] in [0,1], (0,0) the outer corner of texel (0,0);
