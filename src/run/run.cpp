@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "tt3d/version.h"
@@ -44,6 +45,19 @@ json read_run_file(const fs::path& path) {
   } catch (const json::exception& error) {
     throw InputError(path, std::string("is not a run's record: ") + error.what());
   }
+}
+
+}  // namespace
+
+namespace {
+
+/// What later stages read of a stage: it is done where this is there.
+fs::path product_of(const std::string& stage) {
+  static const std::map<std::string, fs::path> products = {
+      {"field", "field/field.safetensors"},    {"mesh", "mesh/mesh.safetensors"},
+      {"attack", "attack/attack.safetensors"}, {"bake", "asset/adversarial.glb"},
+      {"evaluate", "eval/builtin.json"},       {"report", "report.html"}};
+  return products.at(stage);
 }
 
 }  // namespace
@@ -133,8 +147,19 @@ void Run::load_stages() {
 }
 
 bool Run::done(const std::string& stage) const {
-  return std::any_of(stages_.begin(), stages_.end(),
-                     [&](const StageRecord& s) { return s.name == stage; });
+  const bool recorded = std::any_of(stages_.begin(), stages_.end(),
+                                    [&](const StageRecord& s) { return s.name == stage; });
+  return recorded && fs::exists(folder_ / product_of(stage));
+}
+
+void Run::record(const StageRecord& finished) {
+  for (StageRecord& s : stages_) {
+    if (s.name == finished.name) {
+      s = finished;  // its product was gone
+      return;
+    }
+  }
+  stages_.push_back(finished);
 }
 
 void Run::reconfigure(const std::vector<std::string>& assignments, const std::string& first_stage) {
@@ -157,7 +182,7 @@ void Run::run_until(const std::string& last, Progress& progress) {
       const double start = now_seconds();
       reset_peak_memory();
       run_stage(name, progress);
-      stages_.push_back({name, now_seconds() - start, peak_memory_bytes()});
+      record({name, now_seconds() - start, peak_memory_bytes()});
       save();
     }
     if (name == last) return;

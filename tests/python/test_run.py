@@ -129,6 +129,20 @@ def test_second_call_finds_it_finished(finished: Path) -> None:
     assert hashes(finished / "out") == before
 
 
+def test_a_product_that_is_gone_is_made_again(finished: Path, tmp_path: Path) -> None:
+    run = tmp_path / "out"
+    shutil.copytree(finished / "out", run)
+    before = hashes(run)
+    (run / "asset/adversarial.glb").unlink()
+    (run / "report.html").unlink()
+    again = tt3d("run", finished / "small.toml", "--out", run)
+    assert again.returncode == 0, again.stderr
+    assert hashes(run) == before
+    assert (run / "report.html").is_file()
+    names = [stage["name"] for stage in json.loads((run / "run.json").read_text())["stages"]]
+    assert names == ["field", "mesh", "attack", "bake", "evaluate", "report"]
+
+
 def test_killed_at_random_moments_gives_the_same_bytes(finished: Path, tmp_path: Path) -> None:
     randomness = random.Random(4)
     environment = os.environ | {"OMP_NUM_THREADS": "2", "OMP_WAIT_POLICY": "PASSIVE"}

@@ -93,6 +93,7 @@ class Run {
   static const std::vector<std::string>& stage_names();
   /// Runs the stages up to and including `last` that are not done. Throws whatever they throw.
   void run_until(const std::string& last, Progress& progress);
+  /// Whether a stage ran to its end and its product is still there.
   [[nodiscard]] bool done(const std::string& stage) const;
 
  private:
@@ -112,6 +113,8 @@ class Run {
   std::filesystem::path folder_;
   RunConfig config_;
   at::Device device_ = at::kCPU;
+  void record(const StageRecord& finished);
+
   std::vector<StageRecord> stages_;
   std::map<std::string, std::string> input_hashes_;
   std::shared_ptr<Capture> capture_;
