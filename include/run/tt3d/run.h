@@ -102,6 +102,8 @@ class Run {
   void save() const;
   void load_stages();
   void run_stage(const std::string& name, Progress& progress);
+  /// Enters a finished stage into the record.
+  void record(const StageRecord& finished);
   void run_field(Progress& progress);
   void run_mesh(Progress& progress);
   void run_attack_stage(Progress& progress);
@@ -113,8 +115,6 @@ class Run {
   std::filesystem::path folder_;
   RunConfig config_;
   at::Device device_ = at::kCPU;
-  void record(const StageRecord& finished);
-
   std::vector<StageRecord> stages_;
   std::map<std::string, std::string> input_hashes_;
   std::shared_ptr<Capture> capture_;
