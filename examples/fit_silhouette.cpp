@@ -28,7 +28,9 @@ tt3d::TriMesh ball(double radius) {
 /// Coverage of each pixel in each view, [N,H,W].
 Tensor silhouettes(const Tensor& vertices, const tt3d::RenderMesh& mesh,
                    const std::vector<tt3d::Camera>& cameras) {
-  const auto white = [](const Tensor& points) { return at::ones({3, points.size(0)}); };
+  const auto white = [](const tt3d::SurfacePoints& points) {
+    return at::ones({3, points.positions.size(0)});
+  };
   return tt3d::render_mesh(vertices, vertices, mesh, cameras, white).select(3, 3);
 }
 

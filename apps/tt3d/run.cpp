@@ -13,7 +13,7 @@ namespace {
 
 /// What the commands of this file were given.
 struct Arguments {
-  std::string config, capture, run, target;
+  std::string config, capture, run, target, method;
   std::vector<std::string> sets, surrogates;
   bool restart = false;
 };
@@ -50,7 +50,7 @@ void apply_seed(RunConfig& config, const Common& common, const CLI::App& command
 void run_all(const Arguments& a, const Common& common, const CLI::App& command) {
   const at::Device device = apply_common(common);
   RunConfig config = load_config(a.config);
-  for (const std::string& s : a.sets) set_config(config, s);
+  set_all(config, a.sets);
   apply_seed(config, common, command);
   const fs::path out =
       a.run.empty() ? fs::path("runs") / fs::path(a.config).stem() : fs::path(a.run);
@@ -65,7 +65,7 @@ void fit(const Arguments& a, const Common& common, const CLI::App& command) {
   const at::Device device = apply_common(common);
   RunConfig config;
   config.capture.path = fs::absolute(a.capture);
-  for (const std::string& s : a.sets) set_config(config, s);
+  set_all(config, a.sets);
   apply_seed(config, common, command);
   const auto progress = make_progress(common);
   Run run(a.run, config, a.restart);
@@ -94,8 +94,19 @@ std::string toml_list(const std::vector<std::string>& words) {
 void attack(const Arguments& a, const Common& common) {
   std::vector<std::string> assignments = {"attack.target=" + json(a.target).dump(),
                                           "attack.surrogates=" + toml_list(a.surrogates)};
+  if (!a.method.empty()) assignments.push_back("attack.method=" + json(a.method).dump());
   const Run run = continue_run(a, common, assignments, "attack");
   std::cout << (run.folder() / "attack" / "attack.safetensors").string() << "\n";
+}
+
+void print_presets(const Common& common) {
+  json list = json::array();
+  for (const AttackPreset& p : attack_presets()) {
+    list.push_back({{"method", p.name}, {"optimises", p.description}, {"source", p.source}});
+    if (common.json) continue;
+    std::cout << fmt::format("{:<18} {}\n{:<18}   {}\n", p.name, p.description, "", p.source);
+  }
+  if (common.json) std::cout << list.dump(1) << "\n";
 }
 
 CLI::App* stage_command(CLI::App& app, Common& common, Arguments& a, const std::string& name,
@@ -135,6 +146,14 @@ void add_run_commands(CLI::App& app, Common& common) {
   CLI::App* command = stage_command(app, common, *a, "attack", "mesh to an adversarial mesh");
   command->add_option("--target", a->target, "class: index, WordNet id or name")->required();
   command->add_option("--surrogate", a->surrogates, "models the attack may see")->required();
+  command->add_option("--method", a->method, "preset; --list describes them");
+  command->add_flag_callback(
+      "--list",
+      [&common] {
+        print_presets(common);
+        throw CLI::Success();
+      },
+      "describe the methods and stop");
   command->callback([a, &common] { attack(*a, common); });
   stage_command(app, common, *a, "bake", "textured files of the clean and the adversarial object")
       ->callback([a, &common] {

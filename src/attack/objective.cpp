@@ -25,18 +25,4 @@ Tensor objective_loss(const std::string& name, const Tensor& logits, int64_t tar
                    "', expected cross-entropy, logit or margin");
 }
 
-const std::vector<std::string>& attack_method_names() {
-  static const std::vector<std::string> names = {"dual", "dual-texture-only", "mlp", "grid"};
-  return names;
-}
-
-AttackMethod attack_method(const std::string& name) {
-  if (name == "dual") return {true, true, true};
-  if (name == "dual-texture-only") return {true, true, false};
-  if (name == "mlp") return {false, true, true};
-  if (name == "grid") return {true, false, true};
-  throw InputError("attack.method: unknown '" + name +
-                   "', expected dual, dual-texture-only, mlp or grid");
-}
-
 }  // namespace tt3d

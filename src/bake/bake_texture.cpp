@@ -4,7 +4,6 @@
 
 #include "tt3d/bake.h"
 #include "tt3d/capture.h"
-#include "tt3d/raster.h"
 
 namespace tt3d {
 namespace {
@@ -53,18 +52,19 @@ void fill_outside(Tensor& texture, const Tensor& covered) {
 }  // namespace
 
 Tensor bake_texture(const Atlas& atlas, const Tensor& rest, const Tensor& faces,
-                    const PointColors& colors) {
+                    const SurfaceShader& colors) {
   at::NoGradGuard guard;
   const Tensor rast = rasterize_atlas(atlas);
   const Tensor covered = (rast.select(3, 3) > 0).flatten();
   const Tensor texels = covered.nonzero().flatten();
   // The atlas and the mesh number the same triangles in the same order.
-  const Tensor points = interpolate(rest, rast, faces).view({-1, 3});
+  const SurfacePoints all = surface_points(rest, rast, faces, texels);
   Tensor texture = at::full({atlas.height * static_cast<int64_t>(atlas.width), 3}, 128, at::kByte);
   constexpr int64_t kChunk = 1 << 18;
   for (int64_t i = 0; i < texels.size(0); i += kChunk) {
-    const Tensor part = texels.narrow(0, i, std::min(kChunk, texels.size(0) - i));
-    texture.index_copy_(0, part, to_uint8(colors(points.index_select(0, part)).t().contiguous()));
+    const int64_t n = std::min(kChunk, texels.size(0) - i);
+    const SurfacePoints points = {all.positions.narrow(0, i, n), all.rast.narrow(0, i, n)};
+    texture.index_copy_(0, texels.narrow(0, i, n), to_uint8(colors(points).t().contiguous()));
   }
   Tensor image = texture.view({atlas.height, atlas.width, 3}).contiguous();
   fill_outside(image, covered.to(at::kByte));

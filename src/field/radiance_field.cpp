@@ -59,26 +59,26 @@ const std::vector<std::string>& parameter_names() {
 
 }  // namespace
 
-Tensor Appearance::features(const Tensor& x) const {
+Tensor GridMlp::features(const Tensor& x) const {
   return mlp(encoded(x, grid, shape), color_mlp).sigmoid();
 }
 
-Tensor Appearance::color(const Tensor& x) const { return features(x).narrow(0, 0, 3); }
+Tensor GridMlp::color(const Tensor& x) const { return features(x).narrow(0, 0, 3); }
 
-std::vector<Tensor> Appearance::parameters() const {
+std::vector<Tensor> GridMlp::parameters() const {
   std::vector<Tensor> all = {grid};
   all.insert(all.end(), color_mlp.begin(), color_mlp.end());
   return all;
 }
 
-Appearance Appearance::clone() const {
-  Appearance copy = {shape, grid.detach().clone(), {}};
+GridMlp GridMlp::clone() const {
+  GridMlp copy = {shape, grid.detach().clone(), {}};
   for (const Tensor& w : color_mlp) copy.color_mlp.push_back(w.detach().clone());
   return copy;
 }
 
-Appearance Appearance::to(at::Device device) const {
-  Appearance moved = {shape, grid.detach().to(device), {}};
+GridMlp GridMlp::to(at::Device device) const {
+  GridMlp moved = {shape, grid.detach().to(device), {}};
   for (const Tensor& w : color_mlp) moved.color_mlp.push_back(w.detach().to(device));
   return moved;
 }

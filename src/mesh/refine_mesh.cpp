@@ -17,7 +17,7 @@ using at::Tensor;
 struct RefineState {
   TriMesh mesh;    ///< base of the offsets; changes at each remeshing
   Tensor offsets;  ///< [V,3]
-  Appearance appearance;
+  GridMlp appearance;
   std::vector<Tensor> moment1, moment2;  ///< offsets first, then the appearance
   int64_t step = 0;
   int64_t since_remesh = 0;  ///< Adam's iteration for the offsets
@@ -39,7 +39,7 @@ void reset_offsets(RefineState& s) {
   s.moment2[0] = at::zeros_like(s.mesh.vertices);
 }
 
-RefineState fresh_state(const TriMesh& mesh, const Appearance& appearance) {
+RefineState fresh_state(const TriMesh& mesh, const GridMlp& appearance) {
   RefineState s;
   s.mesh = mesh;
   s.appearance = appearance.clone();
@@ -132,8 +132,9 @@ StepLoss compute_gradients(const Capture& capture, const std::vector<Tensor>& ta
   }
   const Tensor target = at::stack(wanted);
   const Tensor vertices = s.mesh.vertices + s.offsets;
-  const Tensor rendered = render_mesh(vertices, vertices, prepared, cameras,
-                                      [&](const Tensor& x) { return s.appearance.color(x); });
+  const Tensor rendered =
+      render_mesh(vertices, vertices, prepared, cameras,
+                  [&](const SurfacePoints& p) { return s.appearance.color(p.positions); });
   Random random(seed, "mesh/background", static_cast<uint64_t>(s.step));
   const Tensor background =
       at::tensor({random.uniform(), random.uniform(), random.uniform()}).to(target.device());
@@ -177,7 +178,7 @@ Tensor face_errors(const Capture& capture, const std::vector<Tensor>& targets, c
     Tensor rast;
     const Tensor rendered = render_mesh(
         vertices, vertices, prepared, {capture.train[v].camera},
-        [&](const Tensor& x) { return s.appearance.color(x); }, &rast);
+        [&](const SurfacePoints& p) { return s.appearance.color(p.positions); }, &rast);
     const Tensor error = (rendered[0] - targets[v]).square().sum(2).flatten();
     const Tensor face = rast.select(3, 3).flatten().to(at::kLong);
     sum.index_add_(0, face, error);
@@ -226,7 +227,7 @@ bool remesh_now(const MeshOptions& options, int64_t step) {
 
 }  // namespace
 
-RefinedMesh refine_mesh(const TriMesh& start, const Appearance& appearance, const Capture& capture,
+RefinedMesh refine_mesh(const TriMesh& start, const GridMlp& appearance, const Capture& capture,
                         const MeshOptions& options, uint64_t seed,
                         const std::filesystem::path& checkpoint, Progress& progress) {
   const at::Device device = appearance.grid.device();

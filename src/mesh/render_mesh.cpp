@@ -3,7 +3,6 @@
 #include <cmath>
 
 #include "tt3d/mesh.h"
-#include "tt3d/raster.h"
 
 namespace tt3d {
 
@@ -40,8 +39,7 @@ Tensor render_mesh(const Tensor& vertices, const Tensor& rest, const RenderMesh&
   if (rast_out) *rast_out = rast.detach();
   // Shade covered pixels only.
   const Tensor covered = (rast.detach().select(3, 3) > 0).flatten().nonzero().flatten();
-  const Tensor positions = interpolate(rest, rast, mesh.faces).view({-1, 3});
-  const Tensor colors = shader(positions.index_select(0, covered)).t();
+  const Tensor colors = shader(surface_points(rest, rast, mesh.faces, covered)).t();
   const Tensor shaded = at::cat({colors, at::ones({covered.size(0), 1}, colors.options())}, 1);
   const Tensor picture = at::zeros({views * height * width, shaded.size(1)}, shaded.options())
                              .index_copy(0, covered, shaded)

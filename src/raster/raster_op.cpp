@@ -302,6 +302,12 @@ Tensor interpolate(const Tensor& attributes, const Tensor& rast, const Tensor& f
   return Interpolate::apply(attributes, rast, faces);
 }
 
+SurfacePoints surface_points(const Tensor& vertices, const Tensor& rast, const Tensor& faces,
+                             const Tensor& pixels) {
+  const Tensor positions = interpolate(vertices, rast, faces).view({-1, 3});
+  return {positions.index_select(0, pixels), rast.reshape({-1, 4}).index_select(0, pixels)};
+}
+
 Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
                              const Tensor& clip_in, const Tensor& faces) {
   check_rast(rast_in);

@@ -10,6 +10,8 @@
 namespace tt3d {
 namespace {
 
+constexpr const char* kMethod = "attack.method";
+
 using Read = std::function<std::string(const toml::node&)>;
 
 /// A key bound to its place in a configuration: how to read it and how to write it.
@@ -44,6 +46,22 @@ std::string list_text(const std::vector<T>& list) {
       out += number_text(item);
   }
   return out + "]";
+}
+
+std::string joined(const std::vector<std::string>& words) {
+  std::string out;
+  for (const std::string& w : words) out += (out.empty() ? "" : ", ") + w;
+  return out;
+}
+
+/// "" if the word is one of the choices or there are none; else what was expected.
+std::string not_among(const std::string& word, const std::vector<std::string>& choices) {
+  if (choices.empty() || std::find(choices.begin(), choices.end(), word) != choices.end()) {
+    return "";
+  }
+  const std::string near = nearest_name(word, choices);
+  return "expected one of " + joined(choices) +
+         (near.empty() ? "" : "; did you mean '" + near + "'?");
 }
 
 /// Builds the list of keys over a configuration. The one place that knows them all.
@@ -93,20 +111,13 @@ class Schema {
   /// A text; with choices, one of them.
   void text(const std::string& name, std::string& target, const std::vector<std::string>& choices,
             const std::string& meaning) {
-    std::string range;
-    for (const std::string& c : choices) range += (range.empty() ? "" : ", ") + c;
-    add(ConfigKey{name, meaning, "", range, toml_string(target)},
-        [&target, choices, range](const toml::node& node) -> std::string {
+    add(ConfigKey{name, meaning, "", joined(choices), toml_string(target)},
+        [&target, choices](const toml::node& node) -> std::string {
           const auto value = node.is_string() ? node.value<std::string>() : std::nullopt;
           if (!value) return "expected a string";
-          if (!choices.empty() &&
-              std::find(choices.begin(), choices.end(), *value) == choices.end()) {
-            const std::string near = nearest_name(*value, choices);
-            return "expected one of " + range +
-                   (near.empty() ? "" : "; did you mean '" + near + "'?");
-          }
-          target = *value;
-          return "";
+          const std::string problem = not_among(*value, choices);
+          if (problem.empty()) target = *value;
+          return problem;
         });
   }
 
@@ -120,16 +131,20 @@ class Schema {
         });
   }
 
+  /// A list of texts; with choices, of some of them.
   void texts(const std::string& name, std::vector<std::string>& target,
-             const std::string& meaning) {
-    add(ConfigKey{name, meaning, "", "list of strings", list_text(target)},
-        [&target](const toml::node& node) -> std::string {
+             const std::vector<std::string>& choices, const std::string& meaning) {
+    const std::string range = choices.empty() ? "list of strings" : "list of " + joined(choices);
+    add(ConfigKey{name, meaning, "", range, list_text(target)},
+        [&target, choices, range](const toml::node& node) -> std::string {
           const toml::array* array = node.as_array();
-          if (!array) return "expected a list of strings";
+          if (!array) return "expected a " + range;
           std::vector<std::string> list;
           for (const toml::node& item : *array) {
             const auto value = item.is_string() ? item.value<std::string>() : std::nullopt;
-            if (!value) return "expected a list of strings";
+            if (!value) return "expected a " + range;
+            const std::string problem = not_among(*value, choices);
+            if (!problem.empty()) return problem;
             list.push_back(*value);
           }
           target = list;
@@ -230,9 +245,11 @@ class Schema {
 
   void attack_keys(RunConfig& c) {
     AttackOptions& a = c.attack;
-    text("attack.method", a.method, attack_method_names(), "what is optimised");
+    text(kMethod, c.attack_method, attack_preset_names(),
+         "preset of the keys below ('tt3d attack --list')");
+    texts("attack.optimize", a.optimize, attack_parts(), "parts of the object that may change");
     text("attack.target", c.attack_target, {}, "target class: index, WordNet id or name");
-    texts("attack.surrogates", c.attack_surrogates, "models the attack may see");
+    texts("attack.surrogates", c.attack_surrogates, {}, "models the attack may see");
     text("attack.objective", a.objective, objective_names(), "loss on the surrogates' logits");
     number("attack.beta", a.beta, 0, 1e9, "", "strength of naturalness (paper: 1e3)");
     number("attack.rgb_weight", a.rgb_weight, 0, 1e9, "", "l1, weight of R_rgb");
@@ -249,7 +266,7 @@ class Schema {
     integer("attack.image_size", a.image_size, 16, 4096, "pixels", "side of the rendered pictures");
     text("attack.view_distribution", a.view_distribution, view_distribution_names(),
          "where views are drawn from");
-    number("attack.appearance_rate", a.appearance_rate, 0, 1, "", "learning rate of grid and MLP");
+    number("attack.appearance_rate", a.appearance_rate, 0, 1, "", "learning rate of the look");
     number("attack.vertex_rate", a.vertex_rate, 0, 1, "", "learning rate of vertex offsets");
     number("attack.final_rate", a.final_rate, 1e-4, 1, "", "share of the rates left at the end");
     integer("attack.checkpoint_every", a.checkpoint_every, 1, 1e7, "steps",
@@ -284,7 +301,7 @@ class Schema {
            "time limit of the unwrap");
     text("evaluate.true_class", c.true_class, {},
          "class of the object; empty: no accuracy figures");
-    texts("evaluate.victims", c.victims, "models that are scored");
+    texts("evaluate.victims", c.victims, {}, "models that are scored");
     integer("evaluate.views", c.evaluate_views, 1, 1e6, "", "held-out random views");
     text("evaluate.view_distribution", c.evaluate_distribution, view_distribution_names(),
          "where views are drawn from");
@@ -334,16 +351,58 @@ std::string unknown_key(const std::string& name, const Schema& schema) {
          (near.empty() ? "; 'tt3d config' lists the keys" : "; did you mean '" + near + "'?");
 }
 
+/// A key's value as TOML, read back.
+toml::table parse_value(const std::string& text) { return toml::parse("value = " + text); }
+
+/// The program's defaults with a preset's changes.
+RunConfig preset_config(const std::string& method) {
+  RunConfig config;
+  attack_preset(method).change(config.attack);
+  return config;
+}
+
+/// Keys that still have what the old preset gave them, and that nobody gave, follow the new one.
+void change_preset(RunConfig& config, const std::string& before) {
+  RunConfig old_values = preset_config(before), new_values = preset_config(config.attack_method);
+  const Schema own(config), old_schema(old_values), new_schema(new_values);
+  for (size_t i = 0; i < own.bindings.size(); ++i) {
+    const ConfigKey& key = own.bindings[i].key;
+    if (key.name == kMethod || config.given.contains(key.name)) continue;
+    if (key.value != old_schema.bindings[i].key.value) continue;
+    const toml::table value = parse_value(new_schema.bindings[i].key.value);
+    (void)own.bindings[i].read(*value.get("value"));
+  }
+}
+
 void apply(RunConfig& config, const std::string& name, const toml::node& node,
            const std::function<void(const std::string&)>& fail) {
   const Schema schema(config);
   for (const Binding& binding : schema.bindings) {
     if (binding.key.name != name) continue;
+    const std::string method = config.attack_method;
     const std::string problem = binding.read(node);
     if (!problem.empty()) fail(name + ": " + problem);
+    config.given.insert(name);
+    if (name == kMethod) change_preset(config, method);
     return;
   }
   fail(unknown_key(name, schema));
+}
+
+void apply_assignment(RunConfig& config, const std::string& assignment) {
+  const size_t equals = assignment.find('=');
+  if (equals == std::string::npos || equals == 0) {
+    throw InputError("--set " + assignment + ": expected key=value");
+  }
+  const std::string name = assignment.substr(0, equals), value = assignment.substr(equals + 1);
+  const auto fail = [&](const std::string& problem) { throw InputError("--set " + problem); };
+  toml::table table;
+  try {
+    table = parse_value(value);
+  } catch (const toml::parse_error&) {
+    table = toml::table{{"value", value}};  // a bare word
+  }
+  apply(config, name, *table.get("value"), fail);
 }
 
 }  // namespace
@@ -401,21 +460,13 @@ RunConfig load_config(const std::filesystem::path& path) {
   return config;
 }
 
-void set_config(RunConfig& config, const std::string& assignment) {
-  const size_t equals = assignment.find('=');
-  if (equals == std::string::npos || equals == 0) {
-    throw InputError("--set " + assignment + ": expected key=value");
-  }
-  const std::string name = assignment.substr(0, equals), value = assignment.substr(equals + 1);
-  const auto fail = [&](const std::string& problem) { throw InputError("--set " + problem); };
-  toml::table table;
-  try {
-    table = toml::parse("value = " + value);
-  } catch (const toml::parse_error&) {
-    table = toml::table{{"value", value}};  // a bare word
-  }
-  apply(config, name, *table.get("value"), fail);
+void set_all(RunConfig& config, const std::vector<std::string>& assignments) {
+  for (const std::string& a : assignments) apply_assignment(config, a);
   check_relations(config, "--set");
+}
+
+void set_config(RunConfig& config, const std::string& assignment) {
+  set_all(config, {assignment});
 }
 
 std::string config_toml(const RunConfig& config) {

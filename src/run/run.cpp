@@ -101,9 +101,12 @@ Run Run::open(const fs::path& folder) {
   run.folder_ = fs::absolute(folder);
   run.lock();
   const json recorded = read_run_file(record);
+  std::vector<std::string> assignments;
   for (const auto& [name, value] : recorded.at("config").items()) {
-    set_config(run.config_, name + "=" + value.get<std::string>());
+    assignments.push_back(name + "=" + value.get<std::string>());
   }
+  set_all(run.config_, assignments);
+  run.config_.given = recorded.value("given", std::set<std::string>{});
   run.load_stages();
   return run;
 }
@@ -127,6 +130,7 @@ void Run::save() const {
         {{"name", s.name}, {"seconds", s.seconds}, {"peak_rss_bytes", s.peak_rss_bytes}});
   }
   const json j = {{"config", config_json(config_)},
+                  {"given", config_.given},
                   {"seed", config_.seed},
                   {"versions", {{"tt3d", kVersion}, {"torch", "2.11.0"}}},
                   {"threads", at::get_num_threads()},
@@ -164,7 +168,7 @@ void Run::record(const StageRecord& finished) {
 
 void Run::reconfigure(const std::vector<std::string>& assignments, const std::string& first_stage) {
   const json before = config_json(config_);
-  for (const std::string& a : assignments) set_config(config_, a);
+  set_all(config_, assignments);
   if (config_json(config_) == before) return;  // an interrupted stage goes on
   const auto& names = stage_names();
   const auto first = std::find(names.begin(), names.end(), first_stage);

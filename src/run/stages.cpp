@@ -42,7 +42,7 @@ void write_json(const fs::path& path, const json& j) { write_file_atomic(path, j
 
 /// An attack's result that changed nothing: how the refined mesh is stored.
 AttackResult as_result(const RefinedMesh& refined) {
-  return {refined.mesh, refined.appearance, {}};
+  return {refined.mesh, std::make_shared<GridMlpAppearance>(refined.appearance), {}};
 }
 
 double mesh_psnr(const RefinedMesh& r, const Capture& capture, Progress& progress) {
@@ -51,8 +51,9 @@ double mesh_psnr(const RefinedMesh& r, const Capture& capture, Progress& progres
   return mean_psnr(
       capture.test,
       [&](const Camera& camera) {
-        return render_mesh(r.mesh.vertices, r.mesh.vertices, prepared, {camera},
-                           [&](const Tensor& x) { return r.appearance.color(x); })[0];
+        return render_mesh(
+            r.mesh.vertices, r.mesh.vertices, prepared, {camera},
+            [&](const SurfacePoints& p) { return r.appearance.color(p.positions); })[0];
       },
       progress);
 }
@@ -104,7 +105,7 @@ void Run::run_attack_stage(Progress& progress) {
   const AttackResult clean = load_attack(folder_ / "mesh" / "mesh.safetensors");
   AttackInput input;
   input.mesh = clean.mesh.to(device_);
-  input.appearance = clean.appearance.to(device_);
+  input.appearance = clean.appearance->to(device_);
   input.frame = capture_view_frame(capture(progress));
   for (const std::string& name : config_.attack_surrogates) {
     const auto model = Classifier::load(name, {}, &progress);
@@ -140,10 +141,11 @@ void Run::run_bake(Progress& progress) {
     asset.uvs = atlas.uvs;
     asset.uv_faces = atlas.uv_faces;
     // Colours sit on the rest surface, which the clean mesh is.
-    const Appearance appearance = result->appearance.to(device_);
+    const auto look = result->appearance->to(device_);
     asset.texture =
-        bake_texture(atlas, clean.mesh.vertices, clean.mesh.faces,
-                     [&](const Tensor& x) { return appearance.color(x.to(device_)).cpu(); });
+        bake_texture(atlas, clean.mesh.vertices, clean.mesh.faces, [&](const SurfacePoints& p) {
+          return look->color({p.positions.to(device_), p.rast.to(device_)}).cpu();
+        });
     write_glb(asset, folder / (std::string(name) + ".glb"));
     write_obj(asset, folder / (std::string(name) + ".obj"));
     progress.update(++done, {});

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "attack/toy_attack.h"
@@ -16,48 +17,65 @@ namespace {
 
 using at::Tensor;
 using testing::ball_input;
+using testing::toy_options;
 
-AttackOptions small_options() {
-  AttackOptions o;
-  o.steps = 40;
-  o.views_per_step = 2;
-  o.image_size = 32;
-  o.beta = 0;
-  o.eot.plain_background = 0;
-  o.checkpoint_every = 6;
-  return o;
+/// Mean success over the last ten steps.
+double late_success(const AttackResult& r) {
+  double success = 0;
+  for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i) success += r.curves[i].success;
+  return success / 10;
 }
 
-TEST(Attack, ReachesEveryTargetOfAToyClassifier) {
+TEST(Attack, EachPresetReachesEveryTargetOfAToyClassifier) {
   Progress quiet;
-  for (const std::string& method : attack_method_names()) {
+  for (const AttackPreset& preset : attack_presets()) {
     for (const int64_t target : {0, 2}) {
       testing::TemporaryFolder folder;
-      AttackOptions o = small_options();
-      o.method = method;
+      const AttackOptions o = toy_options(preset);
       const AttackResult r = run_attack(ball_input(target), o, 1, folder / "c", quiet);
-      double success = 0;
-      for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i)
-        success += r.curves[i].success;
-      EXPECT_GE(success, 9.0) << method << " " << target;
+      EXPECT_GE(late_success(r), 0.9) << preset.name << " " << target;
     }
   }
 }
 
-TEST(Attack, OnlyTheMethodsParametersMove) {
+bool contains(const std::vector<std::string>& words, const std::string& word) {
+  return std::find(words.begin(), words.end(), word) != words.end();
+}
+
+TEST(Attack, OnlyThePresetsParametersMove) {
   Progress quiet;
   const AttackInput input = ball_input(1);
-  for (const std::string& name : attack_method_names()) {
+  for (const AttackPreset& preset : attack_presets()) {
     testing::TemporaryFolder folder;
-    AttackOptions o = small_options();
-    o.method = name;
+    AttackOptions o = toy_options(preset);
     o.steps = 5;
     const AttackResult r = run_attack(input, o, 1, folder / "c", quiet);
-    const AttackMethod method = attack_method(name);
-    EXPECT_EQ(at::equal(r.mesh.vertices, input.mesh.vertices), !method.vertices) << name;
-    EXPECT_EQ(at::equal(r.appearance.grid, input.appearance.grid), !method.grid) << name;
-    EXPECT_EQ(at::equal(r.appearance.color_mlp[0], input.appearance.color_mlp[0]), !method.mlp);
+    EXPECT_EQ(at::equal(r.mesh.vertices, input.mesh.vertices), !contains(o.optimize, "vertices"))
+        << preset.name;
     EXPECT_TRUE(at::equal(r.mesh.faces, input.mesh.faces));
+    const bool per_vertex = contains(o.optimize, "vertex-colors");
+    const auto sampled = VertexColorAppearance::sample(*input.appearance, input.mesh);
+    const auto clean = per_vertex ? sampled->groups() : input.appearance->groups();
+    const auto moved = r.appearance->groups();
+    ASSERT_EQ(moved.size(), clean.size());
+    for (size_t g = 0; g < moved.size(); ++g) {
+      for (size_t i = 0; i < moved[g].tensors.size(); ++i) {
+        EXPECT_EQ(at::equal(moved[g].tensors[i], clean[g].tensors[i]),
+                  !contains(o.optimize, moved[g].name))
+            << preset.name << " " << moved[g].name;
+      }
+    }
+  }
+}
+
+TEST(Attack, PartsThatDoNotGoTogetherAreInputErrors) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  for (const std::vector<std::string>& parts :
+       {std::vector<std::string>{"grid", "vertex-colors"}, {}, {"texture"}}) {
+    AttackOptions o = toy_options();
+    o.optimize = parts;
+    EXPECT_THROW((void)run_attack(ball_input(0), o, 1, folder / "c", quiet), InputError);
   }
 }
 
@@ -66,7 +84,7 @@ TEST(Attack, StrongerBetaStaysNearerToTheCleanObject) {
   double before = 1e9;
   for (const double beta : {0.0, 1e3, 1e5}) {
     testing::TemporaryFolder folder;
-    AttackOptions o = small_options();
+    AttackOptions o = toy_options();
     o.beta = beta;
     const AttackResult r = run_attack(ball_input(0), o, 1, folder / "c", quiet);
     EXPECT_LT(r.curves.back().rgb, before);
@@ -79,7 +97,7 @@ TEST(Attack, AFloorOnSimilarityHoldsTheColoursBack) {
   std::vector<double> distance;
   for (const double floor : {0.0, 1.0}) {
     testing::TemporaryFolder folder;
-    AttackOptions o = small_options();
+    AttackOptions o = toy_options();
     o.beta = 1e3;
     o.rgb_weight = 0;
     o.ssim_floor = floor;
@@ -90,22 +108,24 @@ TEST(Attack, AFloorOnSimilarityHoldsTheColoursBack) {
 
 TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
   Progress quiet;
-  testing::TemporaryFolder folder;
   const AttackInput input = ball_input(0);
-  const AttackOptions o = small_options();
-  const AttackResult whole = run_attack(input, o, 1, folder / "whole", quiet);
-  Random random(7, "stops");
-  for (int stops = 0; stops < 4; ++stops) {
-    testing::StopAfter stop(static_cast<int>(1 + random.index(15)));
-    try {
-      (void)run_attack(input, o, 1, folder / "stopped", stop);
-    } catch (const Interrupted&) {
+  for (const char* preset : {"dual", "mesh"}) {
+    testing::TemporaryFolder folder;
+    const AttackOptions o = toy_options(attack_preset(preset));
+    const AttackResult whole = run_attack(input, o, 1, folder / "whole", quiet);
+    Random random(7, "stops");
+    for (int stops = 0; stops < 4; ++stops) {
+      testing::StopAfter stop(static_cast<int>(1 + random.index(15)));
+      try {
+        (void)run_attack(input, o, 1, folder / "stopped", stop);
+      } catch (const Interrupted&) {
+      }
     }
+    const AttackResult again = run_attack(input, o, 1, folder / "stopped", quiet);
+    save_attack(whole, folder / "a.safetensors");
+    save_attack(again, folder / "b.safetensors");
+    EXPECT_EQ(read_file(folder / "a.safetensors"), read_file(folder / "b.safetensors")) << preset;
   }
-  const AttackResult again = run_attack(input, o, 1, folder / "stopped", quiet);
-  save_attack(whole, folder / "a.safetensors");
-  save_attack(again, folder / "b.safetensors");
-  EXPECT_EQ(read_file(folder / "a.safetensors"), read_file(folder / "b.safetensors"));
 }
 
 /// A classifier whose answers are not numbers from call `first` to call `last`.
@@ -128,7 +148,7 @@ TEST(Attack, GoesOnAtHalfTheRateAfterALossThatIsNotANumber) {
   AttackInput input = ball_input(0);
   input.surrogates = {std::make_shared<FailingClassifier>(14, 15)};
   testing::CountNotes notes;
-  const AttackResult r = run_attack(input, small_options(), 1, folder / "c", notes);
+  const AttackResult r = run_attack(input, toy_options(), 1, folder / "c", notes);
   EXPECT_EQ(notes.count, 2);
   // Rolled back to the checkpoint at step 12, and no step is missing or there twice.
   ASSERT_EQ(r.curves.size(), 40U);
@@ -143,25 +163,29 @@ TEST(Attack, StopsAfterThreeRollBacks) {
   AttackInput input = ball_input(0);
   input.surrogates = {std::make_shared<FailingClassifier>(14, 1000)};
   testing::CountNotes notes;
-  EXPECT_THROW((void)run_attack(input, small_options(), 1, folder / "c", notes), NumericError);
+  EXPECT_THROW((void)run_attack(input, toy_options(), 1, folder / "c", notes), NumericError);
   EXPECT_EQ(notes.count, 3);
 }
 
 TEST(Attack, SaveAndLoad) {
   Progress quiet;
-  testing::TemporaryFolder folder;
-  AttackOptions o = small_options();
-  o.steps = 3;
-  const AttackResult r = run_attack(ball_input(0), o, 1, folder / "c", quiet);
-  save_attack(r, folder / "r.safetensors");
-  const AttackResult back = load_attack(folder / "r.safetensors");
-  EXPECT_TRUE(at::equal(r.mesh.vertices, back.mesh.vertices));
-  EXPECT_TRUE(at::equal(r.appearance.grid, back.appearance.grid));
-  EXPECT_EQ(curves_csv(r.curves), curves_csv(back.curves));
+  for (const char* preset : {"dual", "mesh"}) {
+    testing::TemporaryFolder folder;
+    AttackOptions o = toy_options(attack_preset(preset));
+    o.steps = 3;
+    const AttackResult r = run_attack(ball_input(0), o, 1, folder / "c", quiet);
+    save_attack(r, folder / "r.safetensors");
+    const AttackResult back = load_attack(folder / "r.safetensors");
+    EXPECT_TRUE(at::equal(r.mesh.vertices, back.mesh.vertices));
+    const auto before = r.appearance->parameters(), after = back.appearance->parameters();
+    ASSERT_EQ(before.size(), after.size());
+    for (size_t i = 0; i < after.size(); ++i) EXPECT_TRUE(at::equal(before[i], after[i])) << i;
+    EXPECT_EQ(curves_csv(r.curves), curves_csv(back.curves));
+  }
 }
 
 TEST(Attack, UnknownNamesAreInputErrors) {
-  EXPECT_THROW((void)attack_method("dula"), InputError);
+  EXPECT_THROW((void)attack_preset("dula"), InputError);
   EXPECT_THROW((void)objective_loss("logits", at::zeros({1, 3}), 0), InputError);
 }
 

@@ -30,6 +30,20 @@ class ColorClassifier : public Classifier {
   std::filesystem::path path_;
 };
 
+/// A preset's choices at a size for tests: 40 steps, no naturalness.
+inline AttackOptions toy_options(const AttackPreset& preset = attack_preset("dual")) {
+  AttackOptions o;
+  preset.change(o);
+  o.steps = 40;
+  o.views_per_step = 2;
+  o.image_size = 32;
+  o.beta = 0;
+  o.eot = {};
+  o.eot.plain_background = 0;
+  o.checkpoint_every = 6;
+  return o;
+}
+
 /// A ball whose colours ColorClassifier shall take for `target`, on `device`.
 inline AttackInput ball_input(int64_t target, at::Device device = at::kCPU) {
   const Shape s = sphere(3, 0.7F);
@@ -39,7 +53,8 @@ inline AttackInput ball_input(int64_t target, at::Device device = at::kCPU) {
   shape.occupancy = 8;
   AttackInput input;
   input.mesh = TriMesh{s.vertices, s.faces}.to(device);
-  input.appearance = RadianceField::create(shape, 1).appearance.to(device);
+  input.appearance =
+      std::make_shared<GridMlpAppearance>(RadianceField::create(shape, 1).appearance.to(device));
   input.frame = {{0, 0, 0}, 1, 3.2, 40};
   input.surrogates = {std::make_shared<ColorClassifier>()};
   input.targets = {target};

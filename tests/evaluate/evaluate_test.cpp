@@ -72,8 +72,8 @@ TEST(AssetRenderer, ShowsTheTextureAndAntialiasesTheSilhouette) {
 TEST(RoundTrip, BakedAndLoadedRendersAsInMemory) {
   // A smooth colour over the surface: bake, write, load, render, compare.
   const testing::Shape s = testing::sphere(4, 0.8F);
-  const auto colors = [](const Tensor& x) {
-    return (0.5 + 0.35 * at::sin(x * 7)).t().contiguous();
+  const auto colors = [](const SurfacePoints& points) {
+    return (0.5 + 0.35 * at::sin(points.positions * 7)).t().contiguous();
   };
   const Atlas atlas = unwrap(s.vertices, s.faces, 1024, 4, 120);
   TexturedMesh mesh = {s.vertices, s.faces, atlas.uvs, atlas.uv_faces,

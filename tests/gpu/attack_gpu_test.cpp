@@ -25,16 +25,9 @@ TEST_F(AttackOnGpu, TransformsAndTheirGradients) {
 }
 
 TEST_F(AttackOnGpu, ReachesTheTargetAndGoesOnAfterAStop) {
-  for (const std::string& method : attack_method_names()) {
+  for (const AttackPreset& preset : attack_presets()) {
     testing::TemporaryFolder folder;
-    AttackOptions o;
-    o.method = method;
-    o.steps = 40;
-    o.views_per_step = 2;
-    o.image_size = 32;
-    o.beta = 0;
-    o.eot.plain_background = 0;
-    o.checkpoint_every = 6;
+    const AttackOptions o = testing::toy_options(preset);
     testing::StopAfter stop(15);
     EXPECT_THROW((void)run_attack(testing::ball_input(2, gpu), o, 1, folder / "c", stop),
                  Interrupted);
@@ -43,7 +36,7 @@ TEST_F(AttackOnGpu, ReachesTheTargetAndGoesOnAfterAStop) {
     EXPECT_EQ(r.mesh.vertices.device(), gpu);
     double success = 0;
     for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i) success += r.curves[i].success;
-    EXPECT_GE(success, 9.0) << method;
+    EXPECT_GE(success, 9.0) << preset.name;
     save_attack(r, folder / "r.safetensors");
     EXPECT_TRUE(
         at::equal(load_attack(folder / "r.safetensors").mesh.vertices, r.mesh.vertices.cpu()));

@@ -13,7 +13,7 @@ using testing::expect_same;
 
 struct MeshOnGpu : testing::OnGpu {};
 
-Appearance small_appearance() {
+GridMlp small_appearance() {
   FieldShape shape;
   shape.geometry = {2, 4, 8, 8, 1};
   shape.appearance = {6, 8, 64, 12, 2};
@@ -44,7 +44,7 @@ TEST_F(MeshOnGpu, RegularisersAndTheirGradients) {
 TEST_F(MeshOnGpu, RenderingAndItsGradients) {
   const testing::Shape shape = testing::sphere(3, 0.7F);
   const RenderMesh on_cpu(shape.faces), on_gpu(shape.faces.to(gpu));
-  const Appearance look_cpu = small_appearance(), look_gpu = look_cpu.to(gpu);
+  const GridMlp look_cpu = small_appearance(), look_gpu = look_cpu.to(gpu);
   std::vector<Camera> cameras;
   for (const SampledView& v : sample_views("dome", 3, 0, 3, 64, {{0, 0, 0}, 1, 3.2, 40})) {
     cameras.push_back(v.camera);
@@ -53,8 +53,9 @@ TEST_F(MeshOnGpu, RenderingAndItsGradients) {
       "render_mesh", gpu,
       [&](const std::vector<Tensor>& in) {
         const bool cpu = in[0].is_cpu();
+        const GridMlp& look = cpu ? look_cpu : look_gpu;
         return render_mesh(in[0], in[0], cpu ? on_cpu : on_gpu, cameras,
-                           [&](const Tensor& x) { return (cpu ? look_cpu : look_gpu).color(x); });
+                           [&](const SurfacePoints& p) { return look.color(p.positions); });
       },
       {shape.vertices}, 2e-2);
 }

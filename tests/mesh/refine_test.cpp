@@ -23,7 +23,7 @@ MeshOptions small_options() {
   return o;
 }
 
-Appearance small_appearance() {
+GridMlp small_appearance() {
   FieldShape shape;
   shape.geometry = {2, 4, 8, 8, 1};
   shape.appearance = {6, 8, 64, 12, 2};
@@ -52,8 +52,9 @@ TEST(RefineMesh, FindsTheBallFromATooSmallOne) {
   const double psnr = mean_psnr(
       capture.test,
       [&](const Camera& camera) {
-        return render_mesh(r.mesh.vertices, r.mesh.vertices, prepared, {camera},
-                           [&](const Tensor& x) { return r.appearance.color(x); })[0];
+        return render_mesh(
+            r.mesh.vertices, r.mesh.vertices, prepared, {camera},
+            [&](const SurfacePoints& p) { return r.appearance.color(p.positions); })[0];
       },
       quiet);
   EXPECT_GT(psnr, 24);

@@ -37,6 +37,8 @@ TEST(Config, WrongTypeAndRange) {
   expect_contains(error_of("[attack]\nsurrogates = \"x\"\n"), {"attack.surrogates", "list"});
   expect_contains(error_of("[attack]\nmethod = \"duel\"\n"),
                   {"attack.method", "did you mean 'dual'"});
+  expect_contains(error_of("[attack]\noptimize = [\"vertice\"]\n"),
+                  {"attack.optimize", "did you mean 'vertices'"});
   expect_contains(error_of("[field]\noccupancy = 100\n"), {"field.occupancy", "multiple of 8"});
   expect_contains(error_of("[attack.eot]\nscale_low = 2.0\n"), {"scale_low", "scale_high"});
   expect_contains(error_of("seed = = 2\n"), {"c.toml:1:"});
@@ -90,6 +92,43 @@ TEST(Config, SetTakesTomlAndBareWords) {
   EXPECT_THROW(set_config(config, "attack.beta=much"), InputError);
 }
 
+TEST(Config, APresetSetsItsKeysAndGivenOnesWin) {
+  const auto steps_and_beta = [](const std::string& toml) {
+    testing::TemporaryFolder folder;
+    write_file_atomic(folder / "c.toml", toml);
+    return load_config(folder / "c.toml").attack;
+  };
+  const AttackOptions plain = steps_and_beta("[attack]\nmethod = \"paper\"\n");
+  EXPECT_EQ(plain.steps, 25000);
+  EXPECT_EQ(plain.objective, "cross-entropy");
+  EXPECT_EQ(plain.view_distribution, "paper");
+  // Whatever the order; also where the given value is the program's default.
+  const AttackOptions given =
+      steps_and_beta("[attack]\nsteps = 450\nmethod = \"paper\"\nviews_per_step = 6\n");
+  EXPECT_EQ(given.steps, RunConfig().attack.steps);
+  EXPECT_EQ(given.views_per_step, 6);
+  EXPECT_EQ(given.image_size, 400);
+}
+
+TEST(Config, AnotherPresetTakesBackWhatTheFirstSet) {
+  RunConfig config;
+  set_config(config, "attack.method=paper");
+  set_all(config, {"attack.beta=7", "attack.method=mesh"});
+  EXPECT_EQ(config.attack.steps, RunConfig().attack.steps);
+  EXPECT_EQ(config.attack.beta, 7);
+  EXPECT_EQ(config.attack.optimize, (std::vector<std::string>{"vertex-colors", "vertices"}));
+  set_config(config, "attack.method=dual");
+  EXPECT_EQ(config.attack.optimize, RunConfig().attack.optimize);
+  EXPECT_EQ(config.attack.beta, 7);
+}
+
+TEST(Config, RelationsOfAssignmentsHoldAtTheEnd) {
+  RunConfig config;
+  set_all(config, {"attack.eot.scale_low=2", "attack.eot.scale_high=3"});
+  EXPECT_EQ(config.attack.eot.scale_low, 2);
+  EXPECT_THROW(set_config(config, "attack.eot.scale_low=4"), InputError);
+}
+
 TEST(RunFolder, ChangedConfigurationIsRefusedWithTheKeys) {
   testing::TemporaryFolder folder;
   RunConfig config;
@@ -116,10 +155,12 @@ TEST(RunFolder, OpenRestoresTheConfiguration) {
   RunConfig config;
   config.attack.steps = 17;
   config.attack_surrogates = {"x y", "z"};
+  set_config(config, "attack.beta=3");
   { const tt3d::Run run(folder / "r", config, false); }
   const tt3d::Run run = tt3d::Run::open(folder / "r");
   EXPECT_EQ(run.config().attack.steps, 17);
   EXPECT_EQ(run.config().attack_surrogates[0], "x y");
+  EXPECT_EQ(run.config().given, config.given);
   EXPECT_THROW(tt3d::Run::open(folder / "none"), InputError);
 }
 

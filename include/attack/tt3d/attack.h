@@ -2,13 +2,13 @@
 
 #include <ATen/core/Tensor.h>
 
-#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "tt3d/appearance.h"
 #include "tt3d/capture.h"
 #include "tt3d/core.h"
 #include "tt3d/mesh.h"
@@ -16,18 +16,8 @@
 
 /// The adversarial optimisation: paper, sections 3.2 to 3.5. Minimises over views and transforms
 ///   E L_f(t(render(V*, theta*, view)), y*) + beta (l1 R_rgb + l2 R_cd + l3 R_lap + l4 R_edge)
-/// in the parameters of the appearance (grid, MLP or both) and the vertices.
+/// in the parameters of an appearance and the vertices.
 namespace tt3d {
-
-/// What is optimised.
-struct AttackMethod {
-  bool grid = true;      ///< appearance grid
-  bool mlp = true;       ///< appearance MLP
-  bool vertices = true;  ///< vertex offsets
-};
-/// dual (all), dual-texture-only (no vertices), mlp, grid (each with vertices). Throws InputError.
-[[nodiscard]] AttackMethod attack_method(const std::string& name);
-[[nodiscard]] const std::vector<std::string>& attack_method_names();
 
 /// Ranges of the 2D transforms t, each drawn anew for every picture (expectation over
 /// transformation, Athalye et al. 2018). A range of zero switches a transform off.
@@ -53,8 +43,12 @@ struct EotOptions {
                                           const EotOptions& options, uint64_t seed, int64_t step,
                                           const Backgrounds* photographs = nullptr);
 
+/// Parts of an object that an attack may change: the names attack.optimize takes.
+[[nodiscard]] const std::vector<std::string>& attack_parts();
+
 struct AttackOptions {
-  std::string method = "dual";
+  /// Parts that are optimised; vertex-colors excludes grid and mlp.
+  std::vector<std::string> optimize = {"grid", "mlp", "vertices"};
   std::string objective = "cross-entropy";  ///< cross-entropy, logit, margin
   double beta = 1000;                       ///< strength of naturalness
   double rgb_weight = 1;                    ///< l1
@@ -75,11 +69,22 @@ struct AttackOptions {
   int64_t checkpoint_every = 50;
 };
 
+/// A named choice of options (attack.method): what it changes of the program's defaults.
+struct AttackPreset {
+  std::string name, description;
+  std::string source;  ///< the paper it follows
+  void (*change)(AttackOptions& options);
+};
+[[nodiscard]] const std::vector<AttackPreset>& attack_presets();
+[[nodiscard]] std::vector<std::string> attack_preset_names();
+/// Throws InputError for an unknown name.
+[[nodiscard]] const AttackPreset& attack_preset(const std::string& name);
+
 /// The shape and look that the attack changes, and the models it may see. Mesh and appearance lie
 /// on the device that it runs on; the models follow.
 struct AttackInput {
   TriMesh mesh;
-  Appearance appearance;
+  std::shared_ptr<const Appearance> appearance;
   ViewFrame frame;
   std::vector<std::shared_ptr<const Classifier>> surrogates;
   std::vector<int64_t> targets;  ///< index of the target class in each surrogate's labels
@@ -92,8 +97,8 @@ struct AttackCurvePoint {
 };
 
 struct AttackResult {
-  TriMesh mesh;           ///< V*, same faces
-  Appearance appearance;  ///< theta*
+  TriMesh mesh;                                  ///< V*, same faces
+  std::shared_ptr<const Appearance> appearance;  ///< theta*
   std::vector<AttackCurvePoint> curves;
 };
 

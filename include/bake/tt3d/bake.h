@@ -3,9 +3,9 @@
 #include <ATen/core/Tensor.h>
 
 #include <filesystem>
-#include <functional>
 
 #include "tt3d/core.h"
+#include "tt3d/raster.h"
 
 /// Textured meshes as files. World right-handed, +Z up, in the input's coordinates and units.
 namespace tt3d {
@@ -56,13 +56,10 @@ struct Atlas {
 [[nodiscard]] Atlas unwrap(const at::Tensor& vertices, const at::Tensor& faces, int resolution,
                            int padding, double time_limit_seconds);
 
-/// Colours of surface points: points [P,3] float32 -> [3,P] in [0,1], sRGB.
-using PointColors = std::function<at::Tensor(const at::Tensor& points)>;
-
-/// Samples a colour function at every texel that the surface covers: `rest` [V,3] are the
+/// Samples a colour function (sRGB) at every texel that the surface covers: `rest` [V,3] are the
 /// positions the function knows, `faces` [F,3] their triangles. Texels outside the charts take the
 /// colour of the nearest one inside, so that mipmaps do not bleed. Returns [H,W,3] uint8.
 [[nodiscard]] at::Tensor bake_texture(const Atlas& atlas, const at::Tensor& rest,
-                                      const at::Tensor& faces, const PointColors& colors);
+                                      const at::Tensor& faces, const SurfaceShader& colors);
 
 }  // namespace tt3d

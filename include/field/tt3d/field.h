@@ -89,8 +89,9 @@ struct FieldShape {
   int64_t occupancy = 128;  ///< cells a side
 };
 
-/// Appearance: grid + MLP that map a surface point to its colour. The part an attack optimises.
-struct Appearance {
+/// Hash grid and MLP that map a surface point to its colour: the field's appearance, and what the
+/// dual attack optimises.
+struct GridMlp {
   HashGridShape shape;
   at::Tensor grid;                    ///< [entries,2]
   std::vector<at::Tensor> color_mlp;  ///< 3+16*2 -> 64 -> 64 -> 6
@@ -103,9 +104,9 @@ struct Appearance {
   /// All parameters, grid first.
   [[nodiscard]] std::vector<at::Tensor> parameters() const;
   /// A deep copy.
-  [[nodiscard]] Appearance clone() const;
+  [[nodiscard]] GridMlp clone() const;
   /// The same on a device, without gradient; shares memory where it is there already.
-  [[nodiscard]] Appearance to(at::Device device) const;
+  [[nodiscard]] GridMlp to(at::Device device) const;
 };
 
 /// The radiance field: density from the geometry grid, colour from the appearance.
@@ -113,7 +114,7 @@ struct RadianceField {
   FieldShape shape;
   at::Tensor geometry_grid;             ///< [entries,1]
   std::vector<at::Tensor> density_mlp;  ///< 3+16 -> 32 -> 1
-  Appearance appearance;
+  GridMlp appearance;
   std::vector<at::Tensor> specular_mlp;  ///< 3+3 -> 32 -> 3
   at::Tensor occupied;                   ///< [G,G,G] uint8 over (z,y,x)
 

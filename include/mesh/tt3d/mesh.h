@@ -4,12 +4,12 @@
 
 #include <cstdint>
 #include <filesystem>
-#include <functional>
 #include <vector>
 
 #include "tt3d/capture.h"
 #include "tt3d/core.h"
 #include "tt3d/field.h"
+#include "tt3d/raster.h"
 
 /// From a radiance field to a closed, manifold triangle mesh, refined against the photographs.
 /// Meshes: vertices [V,3] float32 in [-1,1]^3, faces [F,3] int32 counter-clockwise from outside.
@@ -69,9 +69,6 @@ void fill_cavities(const at::Tensor& values, int64_t radius);
 [[nodiscard]] TriMesh decimate(const TriMesh& mesh, const at::Tensor& selected, double ratio);
 
 // ---- Rendering ----------------------------------------------------------------------------
-
-/// Colours of visible surface points: points [P,3] on the rest surface -> [C,P] in [0,1].
-using SurfaceShader = std::function<at::Tensor(const at::Tensor& points)>;
 
 /// A mesh's fixed part, prepared for rendering.
 struct RenderMesh {
@@ -145,14 +142,14 @@ struct MeshOptions {
 /// A refined mesh and the diffuse appearance fitted with it.
 struct RefinedMesh {
   TriMesh mesh;
-  Appearance appearance;
+  GridMlp appearance;
 };
 
 /// Optimises vertices and appearance (its diffuse part alone: what is exported) against the
 /// training photographs; splits faces with the worst error and thins those with the best. Works on
 /// the appearance's device, and leaves the result there.
 /// Resumes from `checkpoint` if it exists, to the same bytes. Throws NumericError.
-[[nodiscard]] RefinedMesh refine_mesh(const TriMesh& mesh, const Appearance& appearance,
+[[nodiscard]] RefinedMesh refine_mesh(const TriMesh& mesh, const GridMlp& appearance,
                                       const Capture& capture, const MeshOptions& options,
                                       uint64_t seed, const std::filesystem::path& checkpoint,
                                       Progress& progress);

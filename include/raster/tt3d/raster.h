@@ -3,6 +3,7 @@
 #include <ATen/core/Tensor.h>
 
 #include <cstdint>
+#include <functional>
 #include <utility>
 
 /// Differentiable rasterisation in four operators that compose: rasterize, interpolate, texture,
@@ -29,6 +30,19 @@ namespace tt3d {
 /// Returns [N,H,W,C], 0 on the background. Differentiable with respect to attributes and rast.
 [[nodiscard]] at::Tensor interpolate(const at::Tensor& attributes, const at::Tensor& rast,
                                      const at::Tensor& faces);
+
+/// Points of a surface: what its colours are looked up by.
+struct SurfacePoints {
+  at::Tensor positions;  ///< [P,3] where they lie
+  at::Tensor rast;       ///< [P,4] rows of rasterize: the triangle and the place on it
+};
+/// Colours of surface points: [C,P] in [0,1].
+using SurfaceShader = std::function<at::Tensor(const SurfacePoints& points)>;
+
+/// The points that the chosen pixels of `rast` show: vertices [V,3] and faces [F,3] of the surface,
+/// pixels [P] int64, flat indices of covered ones. Differentiable as interpolate is.
+[[nodiscard]] SurfacePoints surface_points(const at::Tensor& vertices, const at::Tensor& rast,
+                                           const at::Tensor& faces, const at::Tensor& pixels);
 
 /// Screen-space derivatives of an interpolated attribute, for mipmap levels: clip as given to
 /// rasterize. Returns [N,H,W,2C] with (d/dx, d/dy) per channel, in units per pixel (y down).

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -23,13 +24,14 @@ namespace tt3d {
 /// Everything a run can be told; `tt3d config` lists the keys.
 struct RunConfig {
   /// The program's defaults: the paper's method at a size that two CPU cores finish in minutes.
-  /// configs/paper.toml has the official code's numbers.
+  /// configs/paper.toml and the preset "paper" have the official code's numbers.
   RunConfig();
 
   uint64_t seed = 0;
   CaptureOptions capture;
   FieldOptions field;
   MeshOptions mesh;
+  std::string attack_method = "dual";  ///< preset that `attack` follows
   AttackOptions attack;
   std::string attack_target;
   std::vector<std::string> attack_surrogates;
@@ -42,6 +44,9 @@ struct RunConfig {
   std::string evaluate_distribution = "dome";
   int evaluate_size = 400;
   std::string evaluate_background = "white";
+
+  /// Keys that a file or an assignment gave: another preset leaves them alone.
+  std::set<std::string> given;
 };
 
 /// One documented key.
@@ -58,7 +63,10 @@ struct ConfigKey {
 /// range.
 [[nodiscard]] RunConfig load_config(const std::filesystem::path& path);
 /// Applies "key=value" as --set gives it; the value is TOML, a bare word counts as a string.
+/// attack.method also brings its preset's values to the keys that were not given, before or after.
 void set_config(RunConfig& config, const std::string& assignment);
+/// All of them; relations between keys need to hold at the end only.
+void set_all(RunConfig& config, const std::vector<std::string>& assignments);
 /// The whole configuration as TOML.
 [[nodiscard]] std::string config_toml(const RunConfig& config);
 

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <filesystem>
+#include <memory>
+#include <vector>
+
+#include "tt3d/attack.h"
+
+namespace tt3d {
+
+/// Everything that changes while attacking; saved and restored whole.
+struct AttackState {
+  at::Tensor offsets;  ///< [V,3]
+  std::unique_ptr<Appearance> appearance;
+  std::vector<at::Tensor> moment1, moment2;  ///< of free_parameters, in its order
+  std::vector<AttackCurvePoint> curves;
+  int64_t step = 0;
+  Recovery recovery;
+};
+
+/// A tensor that is optimised, and its learning rate.
+struct FreeParameter {
+  at::Tensor tensor;
+  double rate;
+};
+/// What attack.optimize names, vertex offsets first.
+[[nodiscard]] std::vector<FreeParameter> free_parameters(const AttackState& state,
+                                                         const AttackOptions& options);
+
+/// The state before the first step. Throws InputError for a part that this object has not.
+[[nodiscard]] AttackState fresh_state(const AttackInput& input, const AttackOptions& options);
+
+void save_state(const AttackState& state, const std::filesystem::path& path);
+/// Restores into a fresh state of the same attack.
+void load_state(const std::filesystem::path& path, AttackState& state);
+
+/// The log as a tensor [steps,8] float64, and back.
+[[nodiscard]] at::Tensor curves_tensor(const std::vector<AttackCurvePoint>& curves);
+[[nodiscard]] std::vector<AttackCurvePoint> curves_from(const TensorFile& file);
+
+}  // namespace tt3d

@@ -1,0 +1,77 @@
+#include "tt3d/attack.h"
+
+namespace tt3d {
+namespace {
+
+/// Official code, commit edceec9 (MIT), and section 4.1 of the paper. Its bugs are not repeated:
+/// the background is composited after alpha and views are drawn afresh each step.
+void paper_numbers(AttackOptions& o) {
+  o.objective = "cross-entropy";
+  o.beta = 1000;
+  o.psnr_floor = o.ssim_floor = 0;
+  o.steps = 25000;  // 250 epochs of 100 views
+  o.views_per_step = 1;
+  o.image_size = 400;
+  o.view_distribution = "paper";
+  EotOptions& e = o.eot;
+  e.scale_low = 0.67;  // the code pads the picture by a fifth to a half
+  e.scale_high = 0.83;
+  e.shift = 0;
+  e.rotation_deg = 90;
+  e.brightness = e.contrast = e.saturation = 0.8;
+  e.blur = 1.4;  // the sigma that OpenCV takes for a kernel of 7
+  e.noise = 0;
+  e.plain_background = 0;
+}
+
+/// The baseline of the paper's table 1: "no limitations on the color modifications".
+void mesh_baseline(AttackOptions& o) {
+  o.optimize = {"vertex-colors", "vertices"};
+  o.rgb_weight = 0;
+  o.psnr_floor = o.ssim_floor = 0;
+}
+
+constexpr const char* kTt3d = "Huang et al., TT3D, CVPR 2024";
+
+}  // namespace
+
+const std::vector<AttackPreset>& attack_presets() {
+  static const std::vector<AttackPreset> presets = {
+      {"dual", "appearance grid, MLP and vertices", kTt3d, [](AttackOptions&) {}},
+      {"dual-texture-only", "appearance grid and MLP; the shape stays", kTt3d,
+       [](AttackOptions& o) {
+         o.optimize = {"grid", "mlp"};
+       }},
+      {"mlp", "appearance MLP and vertices", kTt3d,
+       [](AttackOptions& o) {
+         o.optimize = {"mlp", "vertices"};
+       }},
+      {"grid", "appearance grid and vertices", kTt3d,
+       [](AttackOptions& o) {
+         o.optimize = {"grid", "vertices"};
+       }},
+      {"mesh", "vertex colours without limits, and vertices",
+       "the baseline of TT3D, after Xiao et al., MeshAdv, CVPR 2019", mesh_baseline},
+      {"paper", "dual with the paper's numbers: 25,000 steps of one view, cross-entropy", kTt3d,
+       paper_numbers},
+  };
+  return presets;
+}
+
+std::vector<std::string> attack_preset_names() {
+  std::vector<std::string> names;
+  for (const AttackPreset& p : attack_presets()) names.push_back(p.name);
+  return names;
+}
+
+const AttackPreset& attack_preset(const std::string& name) {
+  for (const AttackPreset& p : attack_presets()) {
+    if (p.name == name) return p;
+  }
+  const std::string near = nearest_name(name, attack_preset_names());
+  throw InputError(
+      "attack.method: unknown '" + name + "'" +
+      (near.empty() ? "; 'tt3d attack --list' has them" : "; did you mean '" + near + "'?"));
+}
+
+}  // namespace tt3d
