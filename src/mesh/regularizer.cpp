@@ -51,7 +51,8 @@ Tensor rows_of_nearest(const Tensor& values, const Tensor& queries, const Tensor
                        const Tensor& own) {
   if (queries.is_cpu()) {
     if (own.all().item<bool>()) return values;
-    return values.index_select(0, nearest(queries, points, 0).first);
+    const auto found = nearest(queries.to(at::kFloat), points.to(at::kFloat), 0);
+    return values.index_select(0, found.first);
   }
   const Tensor index = at::empty({queries.size(0)}, queries.options().dtype(at::kLong));
   for_each_index_on(
@@ -62,14 +63,19 @@ Tensor rows_of_nearest(const Tensor& values, const Tensor& queries, const Tensor
   return values.index_select(0, index);
 }
 
-/// Unique undirected edges [E,2] int64, in order of first appearance.
-Tensor unique_edges(const TriMesh& m) {
+/// Keys of the undirected edges, each once, in order.
+std::vector<uint64_t> edge_keys(const TriMesh& m) {
   std::vector<uint64_t> keys;
   for (const mesh::Face& f : mesh::faces_of(m)) {
     for (int k = 0; k < 3; ++k) keys.push_back(mesh::edge_key(f[k], f[(k + 1) % 3]));
   }
   std::sort(keys.begin(), keys.end());
   keys.erase(std::unique(keys.begin(), keys.end()), keys.end());
+  return keys;
+}
+
+/// Their vertices, [E,2] int64.
+Tensor edge_vertices(const std::vector<uint64_t>& keys) {
   Tensor edges = at::empty({static_cast<int64_t>(keys.size()), 2}, at::kLong);
   auto* p = edges.mutable_data_ptr<int64_t>();
   for (const uint64_t key : keys) {
@@ -79,22 +85,58 @@ Tensor unique_edges(const TriMesh& m) {
   return edges;
 }
 
+/// Half the cotangent of the angle at corner k of a face; huge for a needle, by its sign.
+double half_cotangent(const std::vector<mesh::Point>& points, const mesh::Face& f, int k) {
+  const mesh::Point &o = points[f[k]], &a = points[f[(k + 1) % 3]], &b = points[f[(k + 2) % 3]];
+  double dot = 0, aa = 0, bb = 0;
+  for (int i = 0; i < 3; ++i) {
+    const double u = double{a[i]} - double{o[i]}, v = double{b[i]} - double{o[i]};
+    dot += u * v;
+    aa += u * u;
+    bb += v * v;
+  }
+  const double sine = std::sqrt(std::max(aa * bb - dot * dot, 0.0));
+  return 0.5 * dot / std::max(sine, 1e-30);
+}
+
+/// Cotangent weights of the edges [E,1], in their order.
+Tensor cotangent_weights(const TriMesh& m, const std::vector<uint64_t>& keys) {
+  constexpr double kLeast = 1e-4, kMost = 1e2;  // obtuse pairs and needles
+  std::vector<double> sums(keys.size(), 0.0);
+  const auto points = mesh::points_of(m);
+  for (const mesh::Face& f : mesh::faces_of(m)) {
+    for (int k = 0; k < 3; ++k) {
+      const uint64_t opposite = mesh::edge_key(f[(k + 1) % 3], f[(k + 2) % 3]);
+      const auto edge = std::lower_bound(keys.begin(), keys.end(), opposite) - keys.begin();
+      sums[edge] += half_cotangent(points, f, k);
+    }
+  }
+  return at::tensor(sums, at::kDouble).clamp(kLeast, kMost).unsqueeze(1);
+}
+
 }  // namespace
 
-MeshRegularizer::MeshRegularizer(const TriMesh& rest) : rest_(rest.vertices.detach().contiguous()) {
-  edges_ = unique_edges(rest).to(rest_.device());
-  degree_ = at::zeros({rest_.size(0)}, rest_.options());
-  degree_.index_add_(0, edges_.flatten(), at::ones({edges_.numel()}, rest_.options()));
-  degree_ = degree_.clamp_min(1).unsqueeze(1);
-  const Tensor on_host = rest_.cpu();
-  spacing_ = nearest(on_host, on_host, 1).second.to(rest_.device());
+MeshRegularizer::MeshRegularizer(const TriMesh& rest, LaplacianWeights weights)
+    : rest_(rest.vertices.detach().contiguous()) {
+  const auto keys = edge_keys(rest);
+  edges_ = edge_vertices(keys).to(rest_.device());
+  Tensor shares = at::ones({edges_.numel()}, rest_.options());
+  if (weights == LaplacianWeights::kCotangent) {
+    weights_ = cotangent_weights(rest, keys).to(rest_.options());
+    shares = weights_.expand({-1, 2}).reshape({-1});
+  }
+  degree_ = at::zeros({rest_.size(0)}, rest_.options()).index_add_(0, edges_.flatten(), shares);
+  degree_ = degree_.clamp_min(weights_.defined() ? 1e-4 : 1).unsqueeze(1);
+  const Tensor on_host = rest_.cpu().to(at::kFloat);
+  spacing_ = nearest(on_host, on_host, 1).second.to(rest_.options());
 }
 
 Tensor MeshRegularizer::laplacian(const Tensor& vertices) const {
   const Tensor a = edges_.select(1, 0), b = edges_.select(1, 1);
+  const auto weighted = [&](const Tensor& x) { return weights_.defined() ? x * weights_ : x; };
   const Tensor sums = at::zeros_like(rest_)
-                          .index_add(0, a, vertices.index_select(0, b))
-                          .index_add(0, b, vertices.index_select(0, a));
+                          .index_add(0, a, weighted(vertices.index_select(0, b)))
+                          .index_add(0, b, weighted(vertices.index_select(0, a)));
   return (vertices - sums / degree_).square().sum(1).mean();
 }
 

@@ -30,7 +30,7 @@ std::vector<Face> faces_of(const TriMesh& m) {
 }
 
 std::vector<Point> points_of(const TriMesh& m) {
-  const at::Tensor dense = m.vertices.detach().cpu().contiguous();
+  const at::Tensor dense = m.vertices.detach().cpu().to(at::kFloat).contiguous();
   const auto* p = dense.const_data_ptr<float>();
   std::vector<Point> points(static_cast<size_t>(dense.size(0)));
   for (size_t i = 0; i < points.size(); ++i) points[i] = {p[3 * i], p[3 * i + 1], p[3 * i + 2]};

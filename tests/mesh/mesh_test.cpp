@@ -176,25 +176,57 @@ TEST(Decimate, OnlyTheSelectionThins) {
 }
 
 TEST(Regularizer, GradientsAgainstCentralDifferences) {
-  const TriMesh mesh = as_mesh(testing::sphere(1));
-  const MeshRegularizer regularizer(mesh);
-  // float32 inside: a large step on a smooth quadratic is exact up to rounding.
-  const Tensor moved =
-      (mesh.vertices + testing::uniform(mesh.vertices.sizes(), -0.05, 0.05, 4).to(at::kFloat))
-          .requires_grad_(true);
-  for (int term = 0; term < 3; ++term) {
-    const auto loss = [&](const Tensor& v) {
-      return term == 0 ? regularizer.laplacian(v)
-                       : (term == 1 ? regularizer.edge_length(v) : regularizer.chamfer(v));
-    };
-    const Tensor grad = torch::autograd::grad({loss(moved)}, {moved})[0];
-    at::NoGradGuard guard;
-    const Tensor direction = testing::uniform(moved.sizes(), -1, 1, 5).to(at::kFloat);
-    const double h = 1e-3;
-    const double numeric =
-        (loss(moved + h * direction) - loss(moved - h * direction)).item<double>() / (2 * h);
-    EXPECT_NEAR((grad * direction).sum().item<double>(), numeric, 2e-3 * std::abs(numeric) + 1e-4);
-  }
+  TriMesh mesh = as_mesh(testing::sphere(1));
+  mesh.vertices = mesh.vertices.to(at::kDouble);
+  const Tensor moved = mesh.vertices + testing::uniform(mesh.vertices.sizes(), -0.05, 0.05, 4);
+  const MeshRegularizer uniform(mesh), cotangent(mesh, LaplacianWeights::kCotangent);
+  const auto error = [&](const auto& term) {
+    return testing::gradient_error([&](const std::vector<Tensor>& in) { return term(in[0]); },
+                                   {moved});
+  };
+  EXPECT_LT(error([&](const Tensor& v) { return uniform.laplacian(v); }), 1e-6);
+  EXPECT_LT(error([&](const Tensor& v) { return cotangent.laplacian(v); }), 1e-6);
+  EXPECT_LT(error([&](const Tensor& v) { return uniform.edge_length(v); }), 1e-6);
+  EXPECT_LT(error([&](const Tensor& v) { return uniform.chamfer(v); }), 1e-6);
+}
+
+/// A flat fan around the origin: a wide half on the right, a narrow one on the left.
+TriMesh uneven_fan() {
+  TriMesh fan;
+  fan.vertices =
+      at::tensor({0.F, 0.F, 0.F, 3.F, 0.F, 0.F, 0.F, 1.F, 0.F, -1.F, 0.F, 0.F, 0.F, -1.F, 0.F})
+          .view({5, 3});
+  fan.faces = at::tensor({0, 1, 2, 0, 2, 3, 0, 3, 4, 0, 4, 1}, at::kInt).view({4, 3});
+  return fan;
+}
+
+TEST(Regularizer, CotangentLaplacianByHand) {
+  const TriMesh fan = uneven_fan();
+  const MeshRegularizer uniform(fan), cotangent(fan, LaplacianWeights::kCotangent);
+  // Inner edges to (3,0), (-1,0), (0,+-1): (cot a + cot b) / 2 = 1/3, 1, (3 + 1) / 2. The rim: half
+  // the cotangent of the right angle in the middle is 0, so the least weight.
+  const double w1 = 1.0 / 3, w2 = 2, w3 = 1, rim = 1e-4;
+  const auto square = [](double x, double y) { return x * x + y * y; };
+  const double total = w1 + 2 * w2 + w3;
+  const double middle = square((3 * w1 - w3) / total, 0);
+  const double right = square(3 - 0 / (w1 + 2 * rim), 0);
+  const double left = square(-1 - 0 / (w3 + 2 * rim), 0);
+  const double up = square((3 - 1) * rim / (w2 + 2 * rim), 1);
+  EXPECT_NEAR(cotangent.laplacian(fan.vertices).item<double>(),
+              (middle + right + left + 2 * up) / 5, 1e-5);
+  EXPECT_NEAR(middle, 0, 1e-12);
+  // Uniform weights pull the middle of this flat fan to the right.
+  const double uniform_middle = square(2.0 / 4, 0), uniform_right = square(3, 0),
+               uniform_left = square(-1, 0), uniform_up = square(2.0 / 3, 1);
+  EXPECT_NEAR(uniform.laplacian(fan.vertices).item<double>(),
+              (uniform_middle + uniform_right + uniform_left + 2 * uniform_up) / 5, 1e-5);
+}
+
+TEST(Regularizer, LengthOfEdgesByHand) {
+  // Four inner edges 3, 1, 1, 1 and four of the rim, squared 10, 2, 2, 10.
+  const MeshRegularizer regularizer(uneven_fan());
+  EXPECT_NEAR(regularizer.edge_length(uneven_fan().vertices).item<double>(), (9 + 3 + 24) / 8.0,
+              1e-6);
 }
 
 TEST(Regularizer, ChamferSearchesWhenVerticesTravelFar) {

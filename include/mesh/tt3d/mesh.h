@@ -94,11 +94,19 @@ struct RenderMesh {
 
 // ---- Regularisers -------------------------------------------------------------------------
 
+/// What a neighbour weighs in a vertex's Laplacian.
+enum class LaplacianWeights {
+  kUniform,    ///< the same for all: also evens out the triangles
+  kCotangent,  ///< (cot a + cot b) / 2 of the angles opposite the edge, at rest (Pinkall & Polthier
+               ///< 1993): flat places cost nothing, however they are cut. Kept in [1e-4, 1e2].
+};
+
 /// Neighbourhoods of a mesh, for the regularisers.
 class MeshRegularizer {
  public:
-  explicit MeshRegularizer(const TriMesh& rest);
-  /// Mean squared uniform Laplacian (Nealen et al. 2006): |v - mean of its neighbours|^2.
+  explicit MeshRegularizer(const TriMesh& rest,
+                           LaplacianWeights weights = LaplacianWeights::kUniform);
+  /// Mean squared Laplacian (Nealen et al. 2006): |v - weighted mean of its neighbours|^2.
   [[nodiscard]] at::Tensor laplacian(const at::Tensor& vertices) const;
   /// Mean squared edge length (Wang et al., Pixel2Mesh, 2018).
   [[nodiscard]] at::Tensor edge_length(const at::Tensor& vertices) const;
@@ -107,7 +115,9 @@ class MeshRegularizer {
   [[nodiscard]] at::Tensor chamfer(const at::Tensor& vertices) const;
 
  private:
-  at::Tensor rest_, edges_, degree_;
+  at::Tensor rest_, edges_;
+  at::Tensor weights_;  ///< [E,1] of the edges; undefined where all are 1
+  at::Tensor degree_;   ///< [V,1] sum of the weights around each vertex
   at::Tensor spacing_;  ///< [V] distance of each rest vertex to the nearest other one
 };
 
