@@ -13,7 +13,7 @@ namespace {
 
 /// What the commands of this file were given.
 struct Arguments {
-  std::string config, capture, run, target, method;
+  std::string config, capture, run, target, true_class, method;
   std::vector<std::string> sets, surrogates;
   bool restart = false;
 };
@@ -92,9 +92,13 @@ std::string toml_list(const std::vector<std::string>& words) {
 }
 
 void attack(const Arguments& a, const Common& common) {
-  std::vector<std::string> assignments = {"attack.target=" + json(a.target).dump(),
-                                          "attack.surrogates=" + toml_list(a.surrogates)};
-  if (!a.method.empty()) assignments.push_back("attack.method=" + json(a.method).dump());
+  std::vector<std::string> assignments = {"attack.surrogates=" + toml_list(a.surrogates)};
+  const auto assign = [&](const std::string& key, const std::string& word) {
+    if (!word.empty()) assignments.push_back(key + "=" + json(word).dump());
+  };
+  assign("attack.target", a.target);
+  assign("evaluate.true_class", a.true_class);
+  assign("attack.method", a.method);
   const Run run = continue_run(a, common, assignments, "attack");
   std::cout << (run.folder() / "attack" / "attack.safetensors").string() << "\n";
 }
@@ -144,7 +148,8 @@ void add_run_commands(CLI::App& app, Common& common) {
                                "metrics.json");
       });
   CLI::App* command = stage_command(app, common, *a, "attack", "mesh to an adversarial mesh");
-  command->add_option("--target", a->target, "class: index, WordNet id or name")->required();
+  command->add_option("--target", a->target, "class: index, WordNet id or name");
+  command->add_option("--true-class", a->true_class, "class of the object, for untargeted attacks");
   command->add_option("--surrogate", a->surrogates, "models the attack may see")->required();
   command->add_option("--method", a->method, "preset; --list describes them");
   command->add_flag_callback(

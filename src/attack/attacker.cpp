@@ -37,9 +37,9 @@ Attacker::Attacker(const AttackInput& input, const AttackOptions& options, uint6
       views_(options.views_per_step),
       shape_is_free_(std::find(options.optimize.begin(), options.optimize.end(), "vertices") !=
                      options.optimize.end()),
+      ensemble_(input, options, seed),
       prepared_(input.mesh.faces),
       regularizer_(input.mesh) {
-  if (!options.eot.photographs.empty()) photographs_.emplace(options.eot.photographs.string());
   at::NoGradGuard guard;
   rest_edge_ = regularizer_.edge_length(input.mesh.vertices).item<double>();
 }
@@ -51,7 +51,7 @@ AttackCurvePoint Attacker::compute(const AttackState& s, std::vector<Tensor>& gr
   Tensor rgb, missing;
   const Tensor pictures = render(s, vertices, rgb, missing);
   std::vector<Tensor> hits;
-  const Tensor objective = adversarial_loss(pictures, s.step, hits);
+  const Tensor objective = ensemble_.loss(pictures, s.step, hits);
   const Tensor excess = (rgb - mse_of_psnr(options_.psnr_floor)).clamp_min(0);
   Tensor chamfer = at::zeros({}, vertices.options()), laplacian = chamfer, edge = chamfer;
   if (shape_is_free_) {
@@ -120,25 +120,6 @@ Tensor Attacker::missing_similarity(const Tensor& pictures, const Tensor& clean)
   constexpr int64_t kStride = 2;
   return (options_.ssim_floor - structural_similarity(pictures, clean, kStride).mean())
       .clamp_min(0);
-}
-
-/// `hits` receives each surrogate's share of pictures that it takes for the target.
-Tensor Attacker::adversarial_loss(const Tensor& pictures, int64_t step,
-                                  std::vector<Tensor>& hits) const {
-  Tensor total = at::zeros({}, pictures.options());
-  const auto models = static_cast<int64_t>(input_.surrogates.size());
-  for (int64_t m = 0; m < models; ++m) {
-    const Classifier& model = *input_.surrogates[m];
-    // Each surrogate sees its own draw of the transforms.
-    const Tensor seen =
-        transform_images(pictures, model.card().height, options_.eot, seed_, step * models + m,
-                         photographs_ ? &*photographs_ : nullptr);
-    const Tensor logits = model.logits(seen);
-    total = total + objective_loss(options_.objective, logits, input_.targets[m]);
-    const Tensor hit = logits.detach().argmax(1) == input_.targets[m];
-    hits.push_back(hit.to(at::kDouble).mean());
-  }
-  return total / static_cast<double>(models);
 }
 
 }  // namespace tt3d

@@ -2,10 +2,10 @@
 
 #include <ATen/core/Tensor.h>
 
-#include <optional>
 #include <vector>
 
 #include "attack_state.h"
+#include "ensemble.h"
 #include "tt3d/attack.h"
 
 namespace tt3d {
@@ -30,18 +30,16 @@ class Attacker {
                                   at::Tensor& rgb, at::Tensor& missing) const;
   [[nodiscard]] at::Tensor missing_similarity(const at::Tensor& pictures,
                                               const at::Tensor& clean) const;
-  [[nodiscard]] at::Tensor adversarial_loss(const at::Tensor& pictures, int64_t step,
-                                            std::vector<at::Tensor>& hits) const;
 
   const AttackInput& input_;
   const AttackOptions& options_;
   uint64_t seed_;
   int64_t views_;
   bool shape_is_free_;
+  Ensemble ensemble_;
   RenderMesh prepared_;
   MeshRegularizer regularizer_;
   double rest_edge_ = 0;
-  std::optional<Backgrounds> photographs_;
 };
 
 }  // namespace tt3d

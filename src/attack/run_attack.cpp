@@ -41,11 +41,6 @@ void roll_back(const Attacker& attacker, const std::filesystem::path& checkpoint
 
 AttackResult run_attack(const AttackInput& input, const AttackOptions& options, uint64_t seed,
                         const std::filesystem::path& checkpoint, Progress& progress) {
-  if (input.surrogates.empty()) throw InputError("attack.surrogates: name at least one model");
-  if (options.eot.photograph_background > 0 && options.eot.photographs.empty()) {
-    throw InputError(
-        "attack.eot.photographs: expected a folder, as photograph_background is not 0");
-  }
   Attacker attacker(input, options, seed);
   AttackState s = attacker.fresh();
   if (std::filesystem::exists(checkpoint)) load_state(checkpoint, s);

@@ -248,9 +248,12 @@ class Schema {
     text(kMethod, c.attack_method, attack_preset_names(),
          "preset of the keys below ('tt3d attack --list')");
     texts("attack.optimize", a.optimize, attack_parts(), "parts of the object that may change");
-    text("attack.target", c.attack_target, {}, "target class: index, WordNet id or name");
+    text("attack.target", c.attack_target, {},
+         "target class: index, WordNet id or name; an untargeted attack needs none");
     texts("attack.surrogates", c.attack_surrogates, {}, "models the attack may see");
     text("attack.objective", a.objective, objective_names(), "loss on the surrogates' logits");
+    text("attack.goal", a.goal, goal_names(), "towards the target, or away from the true class");
+    text("attack.ensemble", a.ensemble, ensemble_names(), "what is averaged over the surrogates");
     number("attack.beta", a.beta, 0, 1e9, "", "strength of naturalness (paper: 1e3)");
     number("attack.rgb_weight", a.rgb_weight, 0, 1e9, "", "l1, weight of R_rgb");
     number("attack.chamfer_weight", a.chamfer_weight, 0, 1e9, "", "l2, weight of R_cd");
@@ -300,7 +303,8 @@ class Schema {
     number("bake.unwrap_time_limit", c.unwrap_time_limit, 1, 1e5, "seconds",
            "time limit of the unwrap");
     text("evaluate.true_class", c.true_class, {},
-         "class of the object; empty: no accuracy figures");
+         "class of the object, what an untargeted attack leads away from; empty: no accuracy "
+         "figures");
     texts("evaluate.victims", c.victims, {}, "models that are scored");
     integer("evaluate.views", c.evaluate_views, 1, 1e6, "", "held-out random views");
     text("evaluate.view_distribution", c.evaluate_distribution, view_distribution_names(),

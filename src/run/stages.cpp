@@ -60,6 +60,15 @@ double mesh_psnr(const RefinedMesh& r, const Capture& capture, Progress& progres
 
 }  // namespace
 
+std::string class_of_objective(const RunConfig& config) {
+  const bool targeted = config.attack.goal == "targeted";
+  const std::string& name = targeted ? config.attack_target : config.true_class;
+  if (!name.empty()) return name;
+  throw InputError(targeted ? "attack.target: expected a class"
+                            : "evaluate.true_class: expected the object's class, which an "
+                              "untargeted attack leads away from");
+}
+
 void Run::run_field(Progress& progress) {
   const fs::path folder = folder_ / "field";
   const Capture& photos = capture(progress);
@@ -101,15 +110,15 @@ void Run::run_mesh(Progress& progress) {
 
 void Run::run_attack_stage(Progress& progress) {
   const fs::path folder = folder_ / "attack";
-  if (config_.attack_target.empty()) throw InputError("attack.target: expected a class");
   const AttackResult clean = load_attack(folder_ / "mesh" / "mesh.safetensors");
+  const std::string wanted = class_of_objective(config_);
   AttackInput input;
   input.mesh = clean.mesh.to(device_);
   input.appearance = clean.appearance->to(device_);
   input.frame = capture_view_frame(capture(progress));
   for (const std::string& name : config_.attack_surrogates) {
     const auto model = Classifier::load(name, {}, &progress);
-    input.targets.push_back(find_class(config_.attack_target, model->card()).index);
+    input.classes.push_back(find_class(wanted, model->card()).index);
     input_hashes_[model->card().name + ".pt2"] = model->card().sha256;
     input.surrogates.push_back(model);
   }

@@ -79,6 +79,24 @@ TEST(Attack, PartsThatDoNotGoTogetherAreInputErrors) {
   }
 }
 
+TEST(Attack, UntargetedLeavesTheClass) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  const AttackInput input = ball_input(0);
+  AttackOptions o = toy_options();
+  const AttackResult red = run_attack(input, o, 1, folder / "red", quiet);
+  ASSERT_GE(late_success(red), 0.9);
+  // From the red ball away from red.
+  AttackInput from_red = input;
+  from_red.mesh = red.mesh;
+  from_red.appearance = red.appearance;
+  o.goal = "untargeted";
+  o.steps = 120;
+  const AttackResult r = run_attack(from_red, o, 1, folder / "c", quiet);
+  EXPECT_LE(r.curves.front().success, 0.5);
+  EXPECT_GE(late_success(r), 0.9);
+}
+
 TEST(Attack, StrongerBetaStaysNearerToTheCleanObject) {
   Progress quiet;
   double before = 1e9;
@@ -184,17 +202,7 @@ TEST(Attack, SaveAndLoad) {
   }
 }
 
-TEST(Attack, UnknownNamesAreInputErrors) {
-  EXPECT_THROW((void)attack_preset("dula"), InputError);
-  EXPECT_THROW((void)objective_loss("logits", at::zeros({1, 3}), 0), InputError);
-}
-
-TEST(Objective, ValuesByHand) {
-  const Tensor logits = at::tensor({1.F, 2.F, 4.F}).view({1, 3});
-  EXPECT_NEAR(objective_loss("logit", logits, 1).item<double>(), -2, 1e-6);
-  EXPECT_NEAR(objective_loss("cross-entropy", logits, 2).item<double>(), 0.16984, 1e-4);
-  EXPECT_NEAR(objective_loss("margin", logits, 0).item<double>(), 3.12693, 1e-4);
-}
+TEST(Attack, UnknownNamesAreInputErrors) { EXPECT_THROW((void)attack_preset("dula"), InputError); }
 
 TEST(Eot, PaddingIsBackgroundAndNeverBlack) {
   // A fully transparent rendering is background alone, whatever the placement.

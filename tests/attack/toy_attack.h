@@ -8,27 +8,40 @@
 /// A small attack that the CPU's and the GPU's tests share.
 namespace tt3d::testing {
 
-/// A classifier of three classes that answers with the mean of a picture's red, green and blue.
+/// A classifier of three classes that answers with `gain` times the mean of a picture's red, green
+/// and blue.
 class ColorClassifier : public Classifier {
  public:
-  ColorClassifier() {
+  explicit ColorClassifier(double gain = 40,
+                           const std::vector<std::string>& labels = {"red", "green", "blue"})
+      : gain_(gain) {
     card_.name = "colors";
     card_.height = card_.width = 32;
-    card_.labels = {"red", "green", "blue"};
+    card_.labels = labels;
   }
   [[nodiscard]] const ModelCard& card() const override { return card_; }
   [[nodiscard]] at::Tensor logits(const at::Tensor& images) const override {
-    return images.mean({2, 3}) * 40;
+    return images.mean({2, 3}) * gain_;
   }
   [[nodiscard]] std::string weights_hash() const override { return "none"; }
   [[nodiscard]] const ProbeReport& probe() const override { return probe_; }
   [[nodiscard]] const std::filesystem::path& path() const override { return path_; }
 
  private:
+  double gain_;
   ModelCard card_;
   ProbeReport probe_;
   std::filesystem::path path_;
 };
+
+/// Pictures as they are, on white.
+inline EotOptions no_transforms() {
+  EotOptions o;
+  o.scale_low = o.scale_high = 1;
+  o.shift = o.rotation_deg = o.brightness = o.contrast = o.saturation = o.blur = o.noise = 0;
+  o.plain_background = 0;
+  return o;
+}
 
 /// A preset's choices at a size for tests: 40 steps, no naturalness.
 inline AttackOptions toy_options(const AttackPreset& preset = attack_preset("dual")) {
@@ -57,7 +70,7 @@ inline AttackInput ball_input(int64_t target, at::Device device = at::kCPU) {
       std::make_shared<GridMlpAppearance>(RadianceField::create(shape, 1).appearance.to(device));
   input.frame = {{0, 0, 0}, 1, 3.2, 40};
   input.surrogates = {std::make_shared<ColorClassifier>()};
-  input.targets = {target};
+  input.classes = {target};
   return input;
 }
 

@@ -129,6 +129,17 @@ TEST(Config, RelationsOfAssignmentsHoldAtTheEnd) {
   EXPECT_THROW(set_config(config, "attack.eot.scale_low=4"), InputError);
 }
 
+TEST(Config, UntargetedNeedsTheTrueClass) {
+  RunConfig config;
+  config.attack.goal = "untargeted";
+  config.attack_target = "teapot";
+  EXPECT_THROW((void)class_of_objective(config), InputError);
+  config.true_class = "hen";
+  EXPECT_EQ(class_of_objective(config), "hen");
+  config.attack.goal = "targeted";
+  EXPECT_EQ(class_of_objective(config), "teapot");
+}
+
 TEST(RunFolder, ChangedConfigurationIsRefusedWithTheKeys) {
   testing::TemporaryFolder folder;
   RunConfig config;

@@ -49,7 +49,9 @@ struct EotOptions {
 struct AttackOptions {
   /// Parts that are optimised; vertex-colors excludes grid and mlp.
   std::vector<std::string> optimize = {"grid", "mlp", "vertices"};
-  std::string objective = "cross-entropy";  ///< cross-entropy, logit, margin
+  std::string objective = "cross-entropy";  ///< one of objective_names
+  std::string goal = "targeted";            ///< targeted; untargeted: away from the class
+  std::string ensemble = "losses";          ///< how several surrogates combine: ensemble_names
   double beta = 1000;                       ///< strength of naturalness
   double rgb_weight = 1;                    ///< l1
   double chamfer_weight = 3000;             ///< l2
@@ -87,7 +89,9 @@ struct AttackInput {
   std::shared_ptr<const Appearance> appearance;
   ViewFrame frame;
   std::vector<std::shared_ptr<const Classifier>> surrogates;
-  std::vector<int64_t> targets;  ///< index of the target class in each surrogate's labels
+  /// The class that the objective is about in each surrogate's labels: the target or, untargeted,
+  /// the true class.
+  std::vector<int64_t> classes;
 };
 
 /// One row of the log.
@@ -114,9 +118,21 @@ void save_attack(const AttackResult& result, const std::filesystem::path& path);
 /// CSV of the curves, a row a step.
 [[nodiscard]] std::string curves_csv(const std::vector<AttackCurvePoint>& curves);
 
-/// The objective L_f of a batch, a mean over pictures: logits [N,classes].
-[[nodiscard]] at::Tensor objective_loss(const std::string& name, const at::Tensor& logits,
-                                        int64_t target);
+// ---- Objective ----------------------------------------------------------------------------
+
+/// cross-entropy; logit, the bare logit (Zhao et al. 2021); margin, the logit against the others'
+/// log-sum (after Carlini & Wagner 2017).
 [[nodiscard]] const std::vector<std::string>& objective_names();
+/// targeted, untargeted.
+[[nodiscard]] const std::vector<std::string>& goal_names();
+/// What is averaged over surrogates: losses; logits, as one model (Dong et al. 2018); gradients,
+/// each scaled to length 1 where it reaches the rendered pictures, so that none drowns the others.
+[[nodiscard]] const std::vector<std::string>& ensemble_names();
+
+/// The objective L_f of a batch, a mean over pictures: logits [N,classes], `index` of the class
+/// that they shall show (targeted) or shall not (untargeted: the targeted loss, negated). Throws
+/// InputError for unknown names.
+[[nodiscard]] at::Tensor objective_loss(const std::string& name, const std::string& goal,
+                                        const at::Tensor& logits, int64_t index);
 
 }  // namespace tt3d

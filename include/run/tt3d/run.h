@@ -67,6 +67,9 @@ struct ConfigKey {
 void set_config(RunConfig& config, const std::string& assignment);
 /// All of them; relations between keys need to hold at the end only.
 void set_all(RunConfig& config, const std::vector<std::string>& assignments);
+/// The class that the attack leads to or, untargeted, away from. Throws InputError where the
+/// configuration does not name it.
+[[nodiscard]] std::string class_of_objective(const RunConfig& config);
 /// The whole configuration as TOML.
 [[nodiscard]] std::string config_toml(const RunConfig& config);
 

@@ -1,0 +1,92 @@
+#include "ensemble.h"
+
+#include <ATen/ATen.h>
+
+#include <algorithm>
+
+namespace tt3d {
+
+using at::Tensor;
+
+namespace {
+
+void check_classes(const AttackInput& input) {
+  if (input.classes.size() != input.surrogates.size()) {
+    throw InputError("attack.surrogates: expected a class for each");
+  }
+}
+
+/// Logits have a mean only where they stand for the same classes.
+void check_same_labels(const AttackInput& input) {
+  const ModelCard& first = input.surrogates[0]->card();
+  for (size_t m = 1; m < input.surrogates.size(); ++m) {
+    const ModelCard& card = input.surrogates[m]->card();
+    if (card.labels == first.labels && input.classes[m] == input.classes[0]) continue;
+    throw InputError("attack.ensemble: the mean of logits needs surrogates with the same labels, " +
+                     first.name + " and " + card.name + " differ; choose losses or gradients");
+  }
+}
+
+}  // namespace
+
+const std::vector<std::string>& ensemble_names() {
+  static const std::vector<std::string> names = {"losses", "logits", "gradients"};
+  return names;
+}
+
+Tensor with_gradient_of_length(const Tensor& x, double length) {
+  if (!x.requires_grad()) return x;
+  const Tensor same = x.view_as(x);
+  same.register_hook(
+      [length](const Tensor& grad) { return grad * (length / grad.norm().clamp_min(1e-30)); });
+  return same;
+}
+
+Ensemble::Ensemble(const AttackInput& input, const AttackOptions& options, uint64_t seed)
+    : input_(input), options_(options), seed_(seed) {
+  if (input.surrogates.empty()) throw InputError("attack.surrogates: name at least one model");
+  check_classes(input);
+  if (options.ensemble == "logits") check_same_labels(input);
+  if (!options.eot.photographs.empty()) photographs_.emplace(options.eot.photographs.string());
+  if (options.eot.photograph_background > 0 && !photographs_) {
+    throw InputError(
+        "attack.eot.photographs: expected a folder, as photograph_background is not 0");
+  }
+}
+
+Tensor Ensemble::loss(const Tensor& pictures, int64_t step, std::vector<Tensor>& hits) const {
+  const size_t models = input_.surrogates.size();
+  const auto count = static_cast<int64_t>(models);
+  Tensor total = at::zeros({}, pictures.options());
+  if (options_.ensemble == "logits") {
+    // Dong et al., "Boosting adversarial attacks with momentum", CVPR 2018, section 3.4.
+    Tensor sum = logits(0, pictures, step * count, hits);
+    for (size_t m = 1; m < models; ++m) sum = sum + logits(m, pictures, step * count, hits);
+    return objective(sum / static_cast<double>(models), 0);
+  }
+  const bool of_gradients = options_.ensemble == "gradients";
+  const double share = 1.0 / static_cast<double>(models);
+  for (size_t m = 0; m < models; ++m) {
+    const Tensor own = of_gradients ? with_gradient_of_length(pictures, share) : pictures;
+    const int64_t draw = step * count + static_cast<int64_t>(m);
+    total = total + objective(logits(m, own, draw, hits), m);
+  }
+  return total / static_cast<double>(models);
+}
+
+Tensor Ensemble::logits(size_t model, const Tensor& pictures, int64_t draw,
+                        std::vector<Tensor>& hits) const {
+  const Classifier& surrogate = *input_.surrogates[model];
+  const Tensor seen = transform_images(pictures, surrogate.card().height, options_.eot, seed_, draw,
+                                       photographs_ ? &*photographs_ : nullptr);
+  const Tensor answer = surrogate.logits(seen);
+  const Tensor taken = answer.detach().argmax(1) == input_.classes[model];
+  hits.push_back((options_.goal == "untargeted" ? ~taken : taken).to(at::kDouble).mean());
+  return answer;
+}
+
+Tensor Ensemble::objective(const Tensor& logits, size_t model) const {
+  return objective_loss(options_.objective, options_.goal, logits, input_.classes[model]);
+}
+
+}  // namespace tt3d

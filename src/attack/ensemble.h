@@ -1,0 +1,37 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <optional>
+#include <vector>
+
+#include "tt3d/attack.h"
+
+namespace tt3d {
+
+/// The objective L_f over all surrogates, combined as attack.ensemble says. Each surrogate sees
+/// its own draw of the transforms; only the mean of logits needs one draw for all.
+class Ensemble {
+ public:
+  /// Throws InputError where surrogates do not fit together, or the photographs are missing.
+  Ensemble(const AttackInput& input, const AttackOptions& options, uint64_t seed);
+  /// pictures [N,4,H,W], premultiplied. `hits` receives each surrogate's share of pictures for
+  /// which the attack has its way.
+  [[nodiscard]] at::Tensor loss(const at::Tensor& pictures, int64_t step,
+                                std::vector<at::Tensor>& hits) const;
+
+ private:
+  [[nodiscard]] at::Tensor logits(size_t model, const at::Tensor& pictures, int64_t draw,
+                                  std::vector<at::Tensor>& hits) const;
+  [[nodiscard]] at::Tensor objective(const at::Tensor& logits, size_t model) const;
+
+  const AttackInput& input_;
+  const AttackOptions& options_;
+  uint64_t seed_;
+  std::optional<Backgrounds> photographs_;
+};
+
+/// The same tensor, whose gradient comes back with norm `length` (0 stays 0).
+[[nodiscard]] at::Tensor with_gradient_of_length(const at::Tensor& x, double length);
+
+}  // namespace tt3d

@@ -1,0 +1,132 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "attack/ensemble.h"
+#include "attack/toy_attack.h"
+#include "support/gradient_check.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+double value(const Tensor& x) { return x.item<double>(); }
+
+TEST(Objective, ValuesByHand) {
+  const Tensor logits = at::tensor({1.F, 2.F, 4.F}).view({1, 3});
+  const auto targeted = [&](const char* name, int64_t index) {
+    return value(objective_loss(name, "targeted", logits, index));
+  };
+  EXPECT_NEAR(targeted("logit", 1), -2, 1e-6);
+  // log(e + e^2 + e^4) - 4 and log(e^2 + e^4) - 1.
+  EXPECT_NEAR(targeted("cross-entropy", 2), 0.16984, 1e-4);
+  EXPECT_NEAR(targeted("margin", 0), 3.12693, 1e-4);
+}
+
+TEST(Objective, UntargetedIsTheOppositeOfTargeted) {
+  const Tensor logits = testing::uniform({4, 5}, -3, 3, 1);
+  for (const std::string& name : objective_names()) {
+    EXPECT_EQ(value(objective_loss(name, "untargeted", logits, 2)),
+              -value(objective_loss(name, "targeted", logits, 2)))
+        << name;
+  }
+}
+
+TEST(Objective, GradientsAgainstCentralDifferences) {
+  for (const std::string& name : objective_names()) {
+    for (const std::string& goal : goal_names()) {
+      EXPECT_LT(
+          testing::gradient_error(
+              [&](const std::vector<Tensor>& in) { return objective_loss(name, goal, in[0], 1); },
+              {testing::uniform({3, 4}, -2, 2, 5)}),
+          1e-6)
+          << name << " " << goal;
+    }
+  }
+}
+
+TEST(Objective, UnknownNamesAreInputErrors) {
+  EXPECT_THROW((void)objective_loss("logits", "targeted", at::zeros({1, 3}), 0), InputError);
+  EXPECT_THROW((void)objective_loss("logit", "aimed", at::zeros({1, 3}), 0), InputError);
+}
+
+/// Two surrogates that answer differently, pictures to show them, and no transforms.
+struct Pair : ::testing::Test {
+  Pair() {
+    input.surrogates = {std::make_shared<testing::ColorClassifier>(40),
+                        std::make_shared<testing::ColorClassifier>(7)};
+    input.classes = {1, 1};
+    options.eot = testing::no_transforms();
+    pictures = testing::uniform({2, 4, 32, 32}, 0.2, 0.8, 3).to(at::kFloat);
+    pictures.select(1, 3).fill_(1);
+    pictures.requires_grad_(true);
+  }
+
+  /// Loss of these surrogates, and its gradient with respect to the pictures.
+  std::pair<double, Tensor> ask(const std::vector<size_t>& models) {
+    AttackInput part = input;
+    part.surrogates.clear();
+    part.classes.clear();
+    for (const size_t m : models) {
+      part.surrogates.push_back(input.surrogates[m]);
+      part.classes.push_back(input.classes[m]);
+    }
+    std::vector<Tensor> hits;
+    const Tensor loss = Ensemble(part, options, 1).loss(pictures, 0, hits);
+    EXPECT_EQ(hits.size(), models.size());
+    return {value(loss), torch::autograd::grad({loss}, {pictures})[0]};
+  }
+
+  AttackInput input = testing::ball_input(1);
+  AttackOptions options;
+  Tensor pictures;
+};
+
+TEST_F(Pair, MeanOfLosses) {
+  options.ensemble = "losses";
+  const auto both = ask({0, 1}), first = ask({0}), second = ask({1});
+  EXPECT_NEAR(both.first, (first.first + second.first) / 2, 1e-6);
+  EXPECT_TRUE(at::allclose(both.second, (first.second + second.second) / 2, 1e-4, 1e-9));
+}
+
+TEST_F(Pair, MeanOfLogits) {
+  options.ensemble = "logits";
+  const Tensor means = pictures.detach().narrow(1, 0, 3).mean({2, 3});
+  const Tensor logits = means * ((40 + 7) / 2.0);
+  EXPECT_NEAR(ask({0, 1}).first, value(objective_loss(options.objective, "targeted", logits, 1)),
+              1e-3);
+}
+
+TEST_F(Pair, MeanOfGradientsOfLengthOne) {
+  options.ensemble = "gradients";
+  const auto both = ask({0, 1});
+  const Tensor first = ask({0}).second, second = ask({1}).second;
+  EXPECT_NEAR(value(first.norm()), 1, 1e-5);
+  EXPECT_NEAR(value(second.norm()), 1, 1e-5);
+  EXPECT_TRUE(at::allclose(both.second, (first + second) / 2, 1e-4, 1e-9));
+  // The direction is the surrogate's own, and the loss what it was.
+  options.ensemble = "losses";
+  EXPECT_NEAR(testing::cosine(ask({1}).second, second), 1, 1e-6);
+  EXPECT_NEAR(ask({0, 1}).first, both.first, 1e-6);
+}
+
+TEST_F(Pair, OnlyTheMeanOfLogitsNeedsTheSameLabels) {
+  input.surrogates[1] = std::make_shared<testing::ColorClassifier>(
+      7, std::vector<std::string>{"blue", "green", "red"});
+  options.ensemble = "gradients";
+  EXPECT_NO_THROW(ask({0, 1}));
+  options.ensemble = "logits";
+  EXPECT_THROW(ask({0, 1}), InputError);
+}
+
+TEST_F(Pair, NeedsSurrogates) { EXPECT_THROW(ask({}), InputError); }
+
+TEST(GradientOfLength, ZeroStaysZero) {
+  const Tensor x = at::ones({3}).requires_grad_(true);
+  const Tensor loss = (with_gradient_of_length(x, 2) * 0).sum();
+  EXPECT_EQ(value(torch::autograd::grad({loss}, {x})[0].abs().sum()), 0);
+}
+
+}  // namespace
+}  // namespace tt3d
