@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "tt3d/similarity.h"
 
@@ -85,12 +86,14 @@ void Attacker::apply(const std::vector<Tensor>& grads, AttackState& s) const {
 /// as a mean squared error (paper, section 3.4). `missing`: what SSIM lacks to its floor.
 Tensor Attacker::render(const AttackState& s, const Tensor& vertices, Tensor& rgb,
                         Tensor& missing) const {
-  std::vector<Camera> cameras;
+  std::vector<Camera> sampled;
   const int64_t n = views_;
   for (const SampledView& v : sample_views(options_.view_distribution, seed_, s.step * n, n,
                                            static_cast<int>(options_.image_size), input_.frame)) {
-    cameras.push_back(v.camera);
+    sampled.push_back(v.camera);
   }
+  const auto cameras =
+      shift_object(std::move(sampled), input_.frame.radius, options_.eot, seed_, s.step);
   const auto pixels = static_cast<double>(3 * n * options_.image_size * options_.image_size);
   const bool with_clean = options_.ssim_floor > 0;
   // The appearance sticks to the surface: points are looked up where they rest.

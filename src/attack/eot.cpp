@@ -1,9 +1,11 @@
 #include <ATen/ATen.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <string>
 
-#include "tt3d/attack.h"
+#include "tt3d/eot.h"
 #include "tt3d/random_tensor.h"
 
 namespace tt3d {
@@ -85,7 +87,52 @@ Tensor blur(const Tensor& x, double sigma) {
   return convolve(convolve(padded, along_x), along_y);
 }
 
+/// Down to a share of the pixels a side, as a small sensor or a resize would, and up again.
+Tensor reduce_resolution(const Tensor& x, double share) {
+  const int64_t height = x.size(2), width = x.size(3);
+  const auto pixels = [&](int64_t side) {
+    return std::max<int64_t>(1, std::llround(share * static_cast<double>(side)));
+  };
+  const Tensor small = at::_upsample_bilinear2d_aa(x, {pixels(height), pixels(width)}, false);
+  return at::upsample_bilinear2d(small, {height, width}, false);
+}
+
+/// JPEG on a share of the pictures, each of its own quality.
+Tensor compress(const Tensor& x, const EotOptions& o, Random random) {
+  std::vector<int64_t> chosen;
+  std::vector<int> qualities;
+  for (int64_t i = 0; i < x.size(0); ++i) {
+    const bool coded = random.uniform() < o.jpeg;
+    const auto spread = random.index(o.jpeg_quality_high - o.jpeg_quality_low + 1);
+    if (!coded) continue;
+    chosen.push_back(i);
+    qualities.push_back(o.jpeg_quality_low + static_cast<int>(spread));
+  }
+  if (chosen.empty()) return x;
+  const Tensor index = at::tensor(chosen, at::kLong).to(x.device());
+  return x.index_copy(0, index, jpeg_stand_in(x.index_select(0, index), qualities));
+}
+
+/// The stream of a transform that draws from its own, so that switching it on leaves the others'
+/// draws as they are.
+Random stream_of(const char* transform, uint64_t seed, int64_t step) {
+  return Random(seed, std::string("attack/eot/") + transform, static_cast<uint64_t>(step));
+}
+
 }  // namespace
+
+std::vector<Camera> shift_object(std::vector<Camera> cameras, double radius, const EotOptions& o,
+                                 uint64_t seed, int64_t step) {
+  if (o.object_shift <= 0) return cameras;
+  Random random = stream_of("object_shift", seed, step);
+  // An object shifted one way is a camera shifted the other way.
+  for (Camera& camera : cameras) {
+    for (int k = 0; k < 3; ++k) {
+      camera.camera_to_world[4 * k + 3] -= random.uniform(-1, 1) * o.object_shift * radius;
+    }
+  }
+  return cameras;
+}
 
 Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o, uint64_t seed,
                         int64_t step, const Backgrounds* photographs) {
@@ -99,11 +146,16 @@ Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o,
   Tensor x = placed.narrow(1, 0, 3) + (1 - placed.narrow(1, 3, 1)) * behind;
   x = jitter_colors(x, o, random);
   x = blur(x, random.uniform(0, 1) * o.blur);
+  if (o.resolution < 1) {
+    Random own = stream_of("resolution", seed, step);
+    x = reduce_resolution(x, own.uniform(o.resolution, 1));
+  }
   if (o.noise > 0) {
     const double sigma = random.uniform(0, 1) * o.noise;
     x = x + noise_tensor(x.sizes(), random.key(), random.position(), x.device()) * sigma;
   }
-  return x.clamp(0, 1);
+  x = x.clamp(0, 1);
+  return o.jpeg > 0 ? compress(x, o, stream_of("jpeg", seed, step)) : x;
 }
 
 }  // namespace tt3d

@@ -278,6 +278,8 @@ class Schema {
 
   void eot_keys(RunConfig& c) {
     EotOptions& e = c.attack.eot;
+    number("attack.eot.object_shift", e.object_shift, 0, 1, "object radii",
+           "shift of the object along each axis, each way; 0 switches it off, as in all below");
     number("attack.eot.scale_low", e.scale_low, 0.05, 4, "",
            "smallest size of the picture in the frame");
     number("attack.eot.scale_high", e.scale_high, 0.05, 4, "",
@@ -289,7 +291,15 @@ class Schema {
     number("attack.eot.contrast", e.contrast, 0, 1, "", "factor 1 - c to 1 + c");
     number("attack.eot.saturation", e.saturation, 0, 1, "", "factor 1 - s to 1 + s");
     number("attack.eot.blur", e.blur, 0, 10, "pixels", "largest sigma of Gaussian blur");
+    number(
+        "attack.eot.resolution", e.resolution, 0.05, 1, "",
+        "pictures go down to this share of the pixels a side, or less far, and up again; 1: off");
     number("attack.eot.noise", e.noise, 0, 1, "", "largest sigma of Gaussian noise");
+    number("attack.eot.jpeg", e.jpeg, 0, 1, "", "share of pictures that pass through JPEG");
+    integer("attack.eot.jpeg_quality_low", e.jpeg_quality_low, 1, 100, "",
+            "worst quality of these");
+    integer("attack.eot.jpeg_quality_high", e.jpeg_quality_high, 1, 100, "",
+            "best quality of these");
     number("attack.eot.plain_background", e.plain_background, 0, 1, "",
            "share of pictures on a random plain colour");
     number("attack.eot.photograph_background", e.photograph_background, 0, 1, "",
@@ -339,6 +349,9 @@ void check_relations(const RunConfig& c, const std::string& where) {
   if (c.field.shape.occupancy % 8 != 0) fail("field.occupancy: expected a multiple of 8");
   if (c.attack.eot.scale_low > c.attack.eot.scale_high) {
     fail("attack.eot.scale_low: expected at most attack.eot.scale_high");
+  }
+  if (c.attack.eot.jpeg_quality_low > c.attack.eot.jpeg_quality_high) {
+    fail("attack.eot.jpeg_quality_low: expected at most attack.eot.jpeg_quality_high");
   }
   if (c.attack.eot.plain_background + c.attack.eot.photograph_background > 1) {
     fail("attack.eot.photograph_background: expected at most 1 together with plain_background");

@@ -204,57 +204,5 @@ TEST(Attack, SaveAndLoad) {
 
 TEST(Attack, UnknownNamesAreInputErrors) { EXPECT_THROW((void)attack_preset("dula"), InputError); }
 
-TEST(Eot, PaddingIsBackgroundAndNeverBlack) {
-  // A fully transparent rendering is background alone, whatever the placement.
-  EotOptions o;
-  o.brightness = o.contrast = o.saturation = o.noise = o.plain_background = 0;
-  const Tensor out = transform_images(at::zeros({4, 4, 20, 20}), 24, o, 1, 0);
-  EXPECT_NEAR(out.min().item<double>(), 1, 1e-6);
-}
-
-TEST(Eot, PhotographsStandBehindTheObject) {
-  testing::TemporaryFolder folder;
-  write_file_atomic(folder / "a.png", encode_png(at::full({6, 9, 3}, 51, at::kByte)));
-  const Backgrounds photographs(folder.path().string());
-  EotOptions o;
-  o.brightness = o.contrast = o.saturation = o.noise = o.plain_background = 0;
-  o.photograph_background = 1;
-  const Tensor out = transform_images(at::zeros({2, 4, 20, 20}), 24, o, 1, 0, &photographs);
-  EXPECT_LT((out - 0.2).abs().max().item<double>(), 1e-4);
-}
-
-TEST(Eot, IdentityWhenEveryRangeIsZero) {
-  EotOptions o;
-  o.scale_low = o.scale_high = 1;
-  o.shift = o.rotation_deg = o.brightness = o.contrast = o.saturation = o.blur = o.noise = 0;
-  o.plain_background = 0;
-  Tensor x = testing::uniform({2, 4, 16, 16}, 0, 1, 3).to(at::kFloat);
-  x.select(1, 3).fill_(1);
-  EXPECT_LT((transform_images(x, 16, o, 1, 0) - x.narrow(1, 0, 3)).abs().max().item<double>(),
-            1e-5);
-}
-
-TEST(Eot, EachTransformActsAndDependsOnTheStep) {
-  EotOptions none;
-  none.scale_low = none.scale_high = 1;
-  none.shift = none.rotation_deg = none.brightness = none.contrast = none.saturation = 0;
-  none.blur = none.noise = none.plain_background = 0;
-  Tensor x = testing::uniform({1, 4, 16, 16}, 0, 0.8, 3).to(at::kFloat);
-  const Tensor base = transform_images(x, 16, none, 1, 0);
-  std::vector<EotOptions> each(8, none);
-  each[0].scale_low = 0.5;
-  each[1].shift = 0.3;
-  each[2].rotation_deg = 45;
-  each[3].brightness = each[4].contrast = each[5].saturation = 0.5;
-  each[6].blur = 3;
-  each[7].noise = 0.2;
-  for (size_t i = 0; i < each.size(); ++i) {
-    const Tensor a = transform_images(x, 16, each[i], 1, 1);
-    EXPECT_FALSE(at::equal(a, base)) << i;
-    EXPECT_FALSE(at::equal(a, transform_images(x, 16, each[i], 1, 2))) << i;
-    EXPECT_TRUE(at::equal(a, transform_images(x, 16, each[i], 1, 1))) << i;
-  }
-}
-
 }  // namespace
 }  // namespace tt3d

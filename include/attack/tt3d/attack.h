@@ -11,6 +11,7 @@
 #include "tt3d/appearance.h"
 #include "tt3d/capture.h"
 #include "tt3d/core.h"
+#include "tt3d/eot.h"
 #include "tt3d/mesh.h"
 #include "tt3d/model.h"
 
@@ -18,30 +19,6 @@
 ///   E L_f(t(render(V*, theta*, view)), y*) + beta (l1 R_rgb + l2 R_cd + l3 R_lap + l4 R_edge)
 /// in the parameters of an appearance and the vertices.
 namespace tt3d {
-
-/// Ranges of the 2D transforms t, each drawn anew for every picture (expectation over
-/// transformation, Athalye et al. 2018). A range of zero switches a transform off.
-struct EotOptions {
-  double scale_low = 0.7, scale_high = 1.15;  ///< size of the picture in the frame
-  double shift = 0.1;                         ///< of the frame's side, each way
-  double rotation_deg = 10;                   ///< each way
-  double brightness = 0.2;                    ///< factor U(1-b, 1+b)
-  double contrast = 0.2;                      ///< likewise, around the picture's mean
-  double saturation = 0.2;                    ///< likewise, around the grey picture
-  double blur = 1.0;                          ///< Gaussian sigma U(0,blur) pixels
-  double noise = 0.02;                        ///< Gaussian, sigma U(0,noise)
-  double plain_background = 0.5;              ///< share of pictures on a random plain colour
-  double photograph_background = 0;           ///< share on a photograph; the rest on white
-  std::filesystem::path photographs;          ///< folder of these photographs
-};
-
-/// `images` [N,4,H,W] premultiplied rendering, transformed and composited over a background:
-/// [N,3,size,size] in [0,1]. Placement happens before compositing and colours after, so the
-/// padding is background, not black. `photographs`: what photograph_background shows.
-/// Keyed by (seed, step). Differentiable.
-[[nodiscard]] at::Tensor transform_images(const at::Tensor& images, int64_t size,
-                                          const EotOptions& options, uint64_t seed, int64_t step,
-                                          const Backgrounds* photographs = nullptr);
 
 /// Parts of an object that an attack may change: the names attack.optimize takes.
 [[nodiscard]] const std::vector<std::string>& attack_parts();
