@@ -12,11 +12,6 @@ using at::Tensor;
 constexpr int64_t kCurveColumns = 8;
 constexpr const char* kVertices = "vertices";
 
-bool optimizes(const AttackOptions& options, const std::string& part) {
-  return std::find(options.optimize.begin(), options.optimize.end(), part) !=
-         options.optimize.end();
-}
-
 /// The parameterisation whose parts are optimised, with the clean object's colours.
 std::unique_ptr<Appearance> starting_appearance(const AttackInput& input,
                                                 const AttackOptions& options) {
@@ -37,6 +32,11 @@ void check_parts(const AttackOptions& options, const Appearance& appearance) {
 }
 
 }  // namespace
+
+bool optimizes(const AttackOptions& options, const std::string& part) {
+  return std::find(options.optimize.begin(), options.optimize.end(), part) !=
+         options.optimize.end();
+}
 
 const std::vector<std::string>& attack_parts() {
   static const std::vector<std::string> parts = {"grid", "mlp", "vertex-colors", kVertices};

@@ -25,6 +25,8 @@ struct FreeParameter {
   at::Tensor tensor;
   double rate;
 };
+/// True if attack.optimize names the part.
+[[nodiscard]] bool optimizes(const AttackOptions& options, const std::string& part);
 /// What attack.optimize names, vertex offsets first.
 [[nodiscard]] std::vector<FreeParameter> free_parameters(const AttackState& state,
                                                          const AttackOptions& options);

@@ -3,19 +3,13 @@
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/autograd.h>
 
-#include <algorithm>
 #include <cmath>
 #include <utility>
-
-#include "tt3d/similarity.h"
 
 namespace tt3d {
 namespace {
 
 using at::Tensor;
-
-/// Squared distance that a PSNR stands for, pictures in [0,1].
-double mse_of_psnr(double psnr) { return psnr > 0 ? std::pow(10.0, -psnr / 10) : 0.0; }
 
 /// The step's figures, brought to the host at once.
 AttackCurvePoint curve_point(int64_t step, std::vector<Tensor> figures,
@@ -36,36 +30,22 @@ Attacker::Attacker(const AttackInput& input, const AttackOptions& options, uint6
       options_(options),
       seed_(seed),
       views_(options.views_per_step),
-      shape_is_free_(std::find(options.optimize.begin(), options.optimize.end(), "vertices") !=
-                     options.optimize.end()),
       ensemble_(input, options, seed),
-      prepared_(input.mesh.faces),
-      regularizer_(input.mesh) {
-  at::NoGradGuard guard;
-  rest_edge_ = regularizer_.edge_length(input.mesh.vertices).item<double>();
-}
+      naturalness_(input, options),
+      prepared_(input.mesh.faces) {}
 
 AttackCurvePoint Attacker::compute(const AttackState& s, std::vector<Tensor>& grads) const {
   std::vector<Tensor> parameters;
   for (const FreeParameter& p : free_parameters(s, options_)) parameters.push_back(p.tensor);
   const Tensor vertices = input_.mesh.vertices + s.offsets;
-  Tensor rgb, missing;
-  const Tensor pictures = render(s, vertices, rgb, missing);
+  const Rendering shown = render(s, vertices);
   std::vector<Tensor> hits;
-  const Tensor objective = ensemble_.loss(pictures, s.step, hits);
-  const Tensor excess = (rgb - mse_of_psnr(options_.psnr_floor)).clamp_min(0);
-  Tensor chamfer = at::zeros({}, vertices.options()), laplacian = chamfer, edge = chamfer;
-  if (shape_is_free_) {
-    chamfer = regularizer_.chamfer(vertices);
-    laplacian = regularizer_.laplacian(vertices);
-    edge = regularizer_.edge_length(vertices) - rest_edge_;
-  }
-  const Tensor natural = options_.rgb_weight * excess + options_.chamfer_weight * chamfer +
-                         options_.laplacian_weight * laplacian + options_.edge_weight * edge +
-                         options_.ssim_weight * missing;
-  const Tensor loss = objective + options_.beta * natural;
+  const Tensor objective = ensemble_.loss(shown.pictures, s.step, hits);
+  const Naturalness::Terms natural = naturalness_.terms(shown, vertices);
+  const Tensor loss = objective + options_.beta * natural.total;
   grads = torch::autograd::grad({loss}, parameters);
-  return curve_point(s.step, {loss, objective, rgb, chamfer, laplacian, edge}, hits);
+  return curve_point(
+      s.step, {loss, objective, shown.rgb, natural.chamfer, natural.laplacian, natural.edge}, hits);
 }
 
 void Attacker::apply(const std::vector<Tensor>& grads, AttackState& s) const {
@@ -78,51 +58,43 @@ void Attacker::apply(const std::vector<Tensor>& grads, AttackState& s) const {
     adam.step(free[i].tensor, grads[i].contiguous(), s.moment1[i], s.moment2[i],
               free[i].rate * decay, s.step + 1);
   }
+  if (options_.max_displacement > 0) limit_offsets(s.offsets, options_.max_displacement);
   s.appearance->constrain();
 }
 
-/// Renders the step's views [N,4,H,W]. `rgb` receives R_rgb: the squared distance to the clean
-/// colours at the same surface points, summed over colours and averaged over the pictures' pixels
-/// as a mean squared error (paper, section 3.4). `missing`: what SSIM lacks to its floor.
-Tensor Attacker::render(const AttackState& s, const Tensor& vertices, Tensor& rgb,
-                        Tensor& missing) const {
+std::vector<Camera> Attacker::cameras(int64_t step) const {
   std::vector<Camera> sampled;
-  const int64_t n = views_;
-  for (const SampledView& v : sample_views(options_.view_distribution, seed_, s.step * n, n,
+  for (const SampledView& v : sample_views(options_.view_distribution, seed_, step * views_, views_,
                                            static_cast<int>(options_.image_size), input_.frame)) {
     sampled.push_back(v.camera);
   }
-  const auto cameras =
-      shift_object(std::move(sampled), input_.frame.radius, options_.eot, seed_, s.step);
-  const auto pixels = static_cast<double>(3 * n * options_.image_size * options_.image_size);
-  const bool with_clean = options_.ssim_floor > 0;
+  return shift_object(std::move(sampled), input_.frame.radius, options_.eot, seed_, step);
+}
+
+/// Renders the step's views.
+Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
+  const auto pixels = static_cast<double>(3 * views_ * options_.image_size * options_.image_size);
+  const bool with_clean = naturalness_.compares_pictures();
+  Rendering shown;
   // The appearance sticks to the surface: points are looked up where they rest.
   const Tensor rendered = render_mesh(
-      vertices, input_.mesh.vertices, prepared_, cameras, [&](const SurfacePoints& points) {
-        const Tensor color = s.appearance->color(points);
+      vertices, input_.mesh.vertices, prepared_, cameras(s.step), [&](const SurfacePoints& points) {
+        shown.colors = s.appearance->color(points);
         Tensor clean;
         {
           at::NoGradGuard guard;
           clean = input_.appearance->color({points.positions.detach(), points.rast.detach()});
         }
-        rgb = (color - clean).square().sum() / pixels;
-        return with_clean ? at::cat({color, clean}) : color;
+        shown.rgb = (shown.colors - clean).square().sum() / pixels;
+        return with_clean ? at::cat({shown.colors, clean}) : shown.colors;
       });
   const Tensor picture = rendered.permute({0, 3, 1, 2});
-  if (!with_clean) {
-    missing = at::zeros({}, picture.options());
-    return picture;
+  shown.pictures = picture;
+  if (with_clean) {
+    shown.pictures = at::cat({picture.narrow(1, 0, 3), picture.narrow(1, 6, 1)}, 1);
+    shown.clean = picture.narrow(1, 3, 3);
   }
-  const Tensor color = picture.narrow(1, 0, 3), alpha = picture.narrow(1, 6, 1);
-  missing = missing_similarity(color + (1 - alpha), (picture.narrow(1, 3, 3) + 1 - alpha).detach());
-  return at::cat({color, alpha}, 1);
-}
-
-/// What the pictures' mean SSIM lacks to the floor. Every second window is enough for a mean.
-Tensor Attacker::missing_similarity(const Tensor& pictures, const Tensor& clean) const {
-  constexpr int64_t kStride = 2;
-  return (options_.ssim_floor - structural_similarity(pictures, clean, kStride).mean())
-      .clamp_min(0);
+  return shown;
 }
 
 }  // namespace tt3d

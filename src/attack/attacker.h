@@ -6,6 +6,7 @@
 
 #include "attack_state.h"
 #include "ensemble.h"
+#include "naturalness.h"
 #include "tt3d/attack.h"
 
 namespace tt3d {
@@ -26,20 +27,16 @@ class Attacker {
   void apply(const std::vector<at::Tensor>& grads, AttackState& state) const;
 
  private:
-  [[nodiscard]] at::Tensor render(const AttackState& state, const at::Tensor& vertices,
-                                  at::Tensor& rgb, at::Tensor& missing) const;
-  [[nodiscard]] at::Tensor missing_similarity(const at::Tensor& pictures,
-                                              const at::Tensor& clean) const;
+  [[nodiscard]] std::vector<Camera> cameras(int64_t step) const;
+  [[nodiscard]] Rendering render(const AttackState& state, const at::Tensor& vertices) const;
 
   const AttackInput& input_;
   const AttackOptions& options_;
   uint64_t seed_;
   int64_t views_;
-  bool shape_is_free_;
   Ensemble ensemble_;
+  Naturalness naturalness_;
   RenderMesh prepared_;
-  MeshRegularizer regularizer_;
-  double rest_edge_ = 0;
 };
 
 }  // namespace tt3d

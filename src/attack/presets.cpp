@@ -31,7 +31,26 @@ void mesh_baseline(AttackOptions& o) {
   o.psnr_floor = o.ssim_floor = 0;
 }
 
+/// The shape alone, neighbours kept moving together (their Laplacian loss). The weight is ours.
+void meshadv_shape(AttackOptions& o) {
+  o.optimize = {"vertices"};
+  o.objective = "cross-entropy";
+  o.chamfer_weight = o.laplacian_weight = o.edge_weight = 0;
+  o.displacement_weight = 100;
+  o.psnr_floor = o.ssim_floor = 0;
+}
+
+/// The colours alone, under total variation of the change. The weight is ours.
+void meshadv_texture(AttackOptions& o) {
+  o.optimize = {"vertex-colors"};
+  o.objective = "cross-entropy";
+  o.rgb_weight = 0;
+  o.variation_weight = 1e-2;
+  o.psnr_floor = o.ssim_floor = 0;
+}
+
 constexpr const char* kTt3d = "Huang et al., TT3D, CVPR 2024";
+constexpr const char* kMeshAdv = "Xiao et al., MeshAdv, CVPR 2019";
 
 }  // namespace
 
@@ -54,6 +73,9 @@ const std::vector<AttackPreset>& attack_presets() {
        "the baseline of TT3D, after Xiao et al., MeshAdv, CVPR 2019", mesh_baseline},
       {"paper", "dual with the paper's numbers: 25,000 steps of one view, cross-entropy", kTt3d,
        paper_numbers},
+      {"meshadv-shape", "vertices alone, their displacement kept smooth", kMeshAdv, meshadv_shape},
+      {"meshadv-texture", "vertex colours alone, their change kept smooth", kMeshAdv,
+       meshadv_texture},
   };
   return presets;
 }

@@ -264,6 +264,17 @@ class Schema {
     number("attack.ssim_floor", a.ssim_floor, 0, 1, "",
            "what SSIM to the clean pictures lacks to this counts, too; 0: nothing");
     number("attack.ssim_weight", a.ssim_weight, 0, 1e9, "", "weight of what SSIM lacks");
+    text("attack.laplacian", a.laplacian, laplacian_names(), "weights of a vertex's neighbours");
+    number("attack.displacement_weight", a.displacement_weight, 0, 1e9, "",
+           "weight of how much neighbours move apart (MeshAdv)");
+    number("attack.variation_weight", a.variation_weight, 0, 1e9, "",
+           "weight of the total variation of what was changed");
+    number("attack.printability_weight", a.printability_weight, 0, 1e9, "",
+           "weight of the distance to printable colours");
+    path("attack.printer_colors", a.printer_colors,
+         "file of the printable colours, three numbers from 0 to 1 a line");
+    number("attack.max_displacement", a.max_displacement, 0, 1, "object box / 2",
+           "no vertex moves further; 0: no bound");
     integer("attack.steps", a.steps, 1, 1e7, "", "optimisation steps");
     integer("attack.views_per_step", a.views_per_step, 1, 256, "", "fresh views a step");
     integer("attack.image_size", a.image_size, 16, 4096, "pixels", "side of the rendered pictures");
@@ -465,7 +476,8 @@ RunConfig load_config(const std::filesystem::path& path) {
     });
   });
   const auto beside = std::filesystem::absolute(path).parent_path();
-  for (std::filesystem::path* p : {&config.capture.path, &config.attack.eot.photographs}) {
+  for (std::filesystem::path* p :
+       {&config.capture.path, &config.attack.eot.photographs, &config.attack.printer_colors}) {
     if (!p->empty() && p->is_relative()) *p = std::filesystem::weakly_canonical(beside / *p);
   }
   const bool folder =

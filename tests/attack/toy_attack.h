@@ -1,6 +1,8 @@
 #pragma once
 
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "support/shapes.h"
 #include "tt3d/attack.h"
@@ -55,6 +57,11 @@ inline AttackOptions toy_options(const AttackPreset& preset = attack_preset("dua
   o.eot.plain_background = 0;
   o.checkpoint_every = 6;
   return o;
+}
+
+/// True if the options free more than the shape.
+inline bool frees_colors(const AttackOptions& o) {
+  return o.optimize != std::vector<std::string>{"vertices"};
 }
 
 /// A ball whose colours ColorClassifier shall take for `target`, on `device`.

@@ -34,9 +34,15 @@ struct AttackOptions {
   double chamfer_weight = 3000;             ///< l2
   double laplacian_weight = 1e-3;           ///< l3
   double edge_weight = 1e-2;                ///< l4
+  std::string laplacian = "uniform";        ///< weights of R_lap: one of laplacian_names
   double psnr_floor = 0;  ///< dB; below 0 disables: R_rgb counts only beyond this error
   double ssim_floor = 0;  ///< SSIM to the clean pictures; what is missing to it counts; 0: nothing
-  double ssim_weight = 0.05;  ///< weight of what is missing
+  double ssim_weight = 0.05;       ///< weight of what is missing
+  double displacement_weight = 0;  ///< of the squared difference of neighbours' offsets (MeshAdv)
+  double variation_weight = 0;     ///< of the total variation of the change, in the pictures
+  double printability_weight = 0;  ///< of the distance to the nearest printable colour
+  std::filesystem::path printer_colors;  ///< the printable ones: three numbers in [0,1] a line
+  double max_displacement = 0;           ///< hard bound on a vertex's way, object box / 2; 0: none
   int64_t steps = 800;
   int64_t views_per_step = 6;
   int64_t image_size = 256;  ///< rendered pixels a side
@@ -47,6 +53,9 @@ struct AttackOptions {
   EotOptions eot;
   int64_t checkpoint_every = 50;
 };
+
+/// uniform, cotangent.
+[[nodiscard]] const std::vector<std::string>& laplacian_names();
 
 /// A named choice of options (attack.method): what it changes of the program's defaults.
 struct AttackPreset {

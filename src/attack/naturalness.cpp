@@ -1,0 +1,145 @@
+#include "naturalness.h"
+
+#include <ATen/ATen.h>
+
+#include <cmath>
+#include <sstream>
+
+#include "attack_state.h"
+#include "tt3d/similarity.h"
+
+namespace tt3d {
+namespace {
+
+using at::Tensor;
+
+/// Squared distance that a PSNR stands for, pictures in [0,1].
+double mse_of_psnr(double psnr) { return psnr > 0 ? std::pow(10.0, -psnr / 10) : 0.0; }
+
+LaplacianWeights weights_named(const std::string& name) {
+  if (name == "uniform") return LaplacianWeights::kUniform;
+  if (name == "cotangent") return LaplacianWeights::kCotangent;
+  throw InputError("attack.laplacian: unknown '" + name + "', expected uniform or cotangent");
+}
+
+/// The colour that a line holds; false for a line without one.
+bool parse_color(std::string line, float* color) {
+  line = line.substr(0, line.find('#'));
+  for (char& c : line) {
+    if (c == ',') c = ' ';
+  }
+  if (line.find_first_not_of(" \t\r") == std::string::npos) return false;
+  std::istringstream in(line);
+  std::string rest;
+  const bool three = static_cast<bool>(in >> color[0] >> color[1] >> color[2]);
+  if (!three || in >> rest) throw InputError("expected three numbers");
+  for (int k = 0; k < 3; ++k) {
+    if (!(color[k] >= 0 && color[k] <= 1)) throw InputError("expected numbers from 0 to 1");
+  }
+  return true;
+}
+
+}  // namespace
+
+const std::vector<std::string>& laplacian_names() {
+  static const std::vector<std::string> names = {"uniform", "cotangent"};
+  return names;
+}
+
+Tensor total_variation(const Tensor& images) {
+  constexpr double kSmooth = 1e-4;
+  const int64_t height = images.size(2), width = images.size(3);
+  const Tensor here = images.narrow(2, 0, height - 1).narrow(3, 0, width - 1);
+  const Tensor below = images.narrow(2, 1, height - 1).narrow(3, 0, width - 1) - here;
+  const Tensor right = images.narrow(2, 0, height - 1).narrow(3, 1, width - 1) - here;
+  return ((below.square() + right.square() + kSmooth * kSmooth).sqrt() - kSmooth).mean();
+}
+
+Tensor non_printability(const Tensor& colors, const Tensor& printable) {
+  // Chosen without a gradient: then only the distance to the nearest has one, finite also at 0.
+  Tensor nearest;
+  {
+    at::NoGradGuard guard;
+    nearest = printable.index_select(0, at::cdist(colors.t().contiguous(), printable).argmin(1));
+  }
+  constexpr double kSmooth = 1e-6;
+  return ((colors.t() - nearest).square().sum(1) + kSmooth * kSmooth).sqrt().mean();
+}
+
+Tensor load_printer_colors(const std::filesystem::path& path) {
+  std::istringstream in(read_file(path));
+  std::vector<float> values;
+  std::string line;
+  for (long number = 1; std::getline(in, line); ++number) {
+    float color[3] = {};
+    try {
+      if (parse_color(line, color)) values.insert(values.end(), color, color + 3);
+    } catch (const InputError& error) {
+      throw InputError(path, number, error.what());
+    }
+  }
+  if (values.empty()) throw InputError(path, "holds no colour");
+  return at::tensor(values).view({-1, 3});
+}
+
+void limit_offsets(const Tensor& offsets, double most) {
+  at::NoGradGuard guard;
+  const Tensor length = offsets.norm(2, {1}, /*keepdim=*/true);
+  offsets.mul_((most / length.clamp_min(1e-30)).clamp_max(1));
+}
+
+Naturalness::Naturalness(const AttackInput& input, const AttackOptions& options)
+    : options_(options),
+      shape_is_free_(optimizes(options, "vertices")),
+      regularizer_(input.mesh, weights_named(options.laplacian)),
+      rest_(input.mesh.vertices) {
+  at::NoGradGuard guard;
+  rest_edge_ = regularizer_.edge_length(rest_).item<double>();
+  if (options.printability_weight > 0) {
+    if (options.printer_colors.empty()) {
+      throw InputError("attack.printer_colors: expected a file, as printability_weight is not 0");
+    }
+    printable_ = load_printer_colors(options.printer_colors).to(rest_.device());
+  }
+}
+
+bool Naturalness::compares_pictures() const {
+  return options_.ssim_floor > 0 || options_.variation_weight > 0;
+}
+
+Naturalness::Terms Naturalness::terms(const Rendering& shown, const Tensor& vertices) const {
+  const Tensor zero = at::zeros({}, vertices.options());
+  Terms t = {{}, zero, zero, zero};
+  if (shape_is_free_) {
+    t.chamfer = regularizer_.chamfer(vertices);
+    t.laplacian = regularizer_.laplacian(vertices);
+    t.edge = regularizer_.edge_length(vertices) - rest_edge_;
+  }
+  const Tensor excess = (shown.rgb - mse_of_psnr(options_.psnr_floor)).clamp_min(0);
+  t.total = options_.rgb_weight * excess + options_.chamfer_weight * t.chamfer +
+            options_.laplacian_weight * t.laplacian + options_.edge_weight * t.edge +
+            options_.ssim_weight * missing_similarity(shown);
+  if (shape_is_free_ && options_.displacement_weight > 0) {
+    t.total = t.total + options_.displacement_weight * regularizer_.edge_length(vertices - rest_);
+  }
+  if (options_.variation_weight > 0) {
+    const Tensor change = shown.pictures.narrow(1, 0, 3) - shown.clean;
+    t.total = t.total + options_.variation_weight * total_variation(change);
+  }
+  if (printable_.defined()) {
+    t.total = t.total + options_.printability_weight * non_printability(shown.colors, printable_);
+  }
+  return t;
+}
+
+/// What the pictures' mean SSIM lacks to the floor. Every second window is enough for a mean.
+Tensor Naturalness::missing_similarity(const Rendering& shown) const {
+  if (options_.ssim_floor <= 0) return at::zeros({}, shown.pictures.options());
+  constexpr int64_t kStride = 2;
+  const Tensor color = shown.pictures.narrow(1, 0, 3), alpha = shown.pictures.narrow(1, 3, 1);
+  const Tensor similarity =
+      structural_similarity(color + (1 - alpha), (shown.clean + 1 - alpha).detach(), kStride);
+  return (options_.ssim_floor - similarity.mean()).clamp_min(0);
+}
+
+}  // namespace tt3d
