@@ -61,6 +61,7 @@ AttackState fresh_state(const AttackInput& input, const AttackOptions& options) 
   for (const FreeParameter& p : free_parameters(s, options)) {
     s.moment1.push_back(at::zeros_like(p.tensor));
     s.moment2.push_back(at::zeros_like(p.tensor));
+    if (options.momentum > 0) s.velocity.push_back(at::zeros_like(p.tensor));
     p.tensor.requires_grad_(true);
   }
   return s;
@@ -97,6 +98,9 @@ void save_state(const AttackState& s, const std::filesystem::path& path) {
     tensors.emplace_back("moment1." + std::to_string(i), s.moment1[i]);
     tensors.emplace_back("moment2." + std::to_string(i), s.moment2[i]);
   }
+  for (size_t i = 0; i < s.velocity.size(); ++i) {
+    tensors.emplace_back("velocity." + std::to_string(i), s.velocity[i]);
+  }
   tensors.emplace_back("curves", curves_tensor(s.curves));
   tensors.emplace_back("counters", at::tensor({s.step, int64_t{s.recovery.rollbacks}}, at::kLong));
   tensors.emplace_back("rate_scale", at::tensor({s.recovery.rate_scale}, at::kDouble));
@@ -115,6 +119,10 @@ void load_state(const std::filesystem::path& path, AttackState& s) {
     const std::string n = std::to_string(i);
     s.moment1[i].copy_(file.get("moment1." + n, s.moment1[i].sizes(), at::kFloat));
     s.moment2[i].copy_(file.get("moment2." + n, s.moment2[i].sizes(), at::kFloat));
+  }
+  for (size_t i = 0; i < s.velocity.size(); ++i) {
+    s.velocity[i].copy_(
+        file.get("velocity." + std::to_string(i), s.velocity[i].sizes(), at::kFloat));
   }
   s.curves = curves_from(file);
   const Tensor counters = file.get("counters", {2}, at::kLong);

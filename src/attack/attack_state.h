@@ -15,6 +15,7 @@ struct AttackState {
   at::Tensor offsets;  ///< [V,3]
   std::unique_ptr<Appearance> appearance;
   std::vector<at::Tensor> moment1, moment2;  ///< of free_parameters, in its order
+  std::vector<at::Tensor> velocity;          ///< likewise, where attack.momentum is not 0
   std::vector<AttackCurvePoint> curves;
   int64_t step = 0;
   Recovery recovery;

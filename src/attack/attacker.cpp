@@ -4,6 +4,7 @@
 #include <torch/csrc/autograd/autograd.h>
 
 #include <cmath>
+#include <numbers>
 #include <utility>
 
 namespace tt3d {
@@ -23,7 +24,28 @@ AttackCurvePoint curve_point(int64_t step, std::vector<Tensor> figures,
   return {step, f[0], f[1], f[2], f[3], f[4], f[5], success};
 }
 
+/// Gathers gradients over the steps, each scaled to a mean length of 1 first (MI-FGSM; Dong et al.,
+/// "Boosting adversarial attacks with momentum", CVPR 2018, equation 6). Returns the velocity.
+Tensor accelerate(const Tensor& velocity, const Tensor& gradient, double momentum) {
+  return velocity.mul_(momentum).add_(gradient / gradient.abs().mean().clamp_min(1e-30));
+}
+
 }  // namespace
+
+const std::vector<std::string>& schedule_names() {
+  static const std::vector<std::string> names = {"exponential", "cosine"};
+  return names;
+}
+
+double rate_share(const AttackOptions& options, double progress) {
+  if (options.schedule == "exponential") return std::pow(options.final_rate, progress);
+  if (options.schedule == "cosine") {
+    const double way = (1 - std::cos(std::numbers::pi * progress)) / 2;
+    return 1 + way * (options.final_rate - 1);
+  }
+  throw InputError("attack.schedule: unknown '" + options.schedule +
+                   "', expected exponential or cosine");
+}
 
 Attacker::Attacker(const AttackInput& input, const AttackOptions& options, uint64_t seed)
     : input_(input),
@@ -51,12 +73,14 @@ AttackCurvePoint Attacker::compute(const AttackState& s, std::vector<Tensor>& gr
 void Attacker::apply(const std::vector<Tensor>& grads, AttackState& s) const {
   const Adam adam{0.9, 0.999, 1e-15};
   const double progress = static_cast<double>(s.step) / static_cast<double>(options_.steps);
-  const double decay = std::pow(options_.final_rate, progress) * s.recovery.rate_scale;
+  const double decay = rate_share(options_, progress) * s.recovery.rate_scale;
   const auto free = free_parameters(s, options_);
   at::NoGradGuard guard;
   for (size_t i = 0; i < free.size(); ++i) {
-    adam.step(free[i].tensor, grads[i].contiguous(), s.moment1[i], s.moment2[i],
-              free[i].rate * decay, s.step + 1);
+    Tensor direction = grads[i].contiguous();
+    if (options_.momentum > 0) direction = accelerate(s.velocity[i], direction, options_.momentum);
+    adam.step(free[i].tensor, direction, s.moment1[i], s.moment2[i], free[i].rate * decay,
+              s.step + 1);
   }
   if (options_.max_displacement > 0) limit_offsets(s.offsets, options_.max_displacement);
   s.appearance->constrain();

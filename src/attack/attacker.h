@@ -11,6 +11,9 @@
 
 namespace tt3d {
 
+/// Share of the learning rates that is left after `progress` (0 to 1) of the steps.
+[[nodiscard]] double rate_share(const AttackOptions& options, double progress);
+
 /// One attack on one object: what stays the same from step to step.
 class Attacker {
  public:

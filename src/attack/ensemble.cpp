@@ -48,9 +48,10 @@ Ensemble::Ensemble(const AttackInput& input, const AttackOptions& options, uint6
   check_classes(input);
   if (options.ensemble == "logits") check_same_labels(input);
   if (!options.eot.photographs.empty()) photographs_.emplace(options.eot.photographs.string());
-  if (options.eot.photograph_background > 0 && !photographs_) {
+  const bool wanted = options.eot.photograph_background > 0 || options.eot.mix > 0;
+  if (wanted && !photographs_) {
     throw InputError(
-        "attack.eot.photographs: expected a folder, as photograph_background is not 0");
+        "attack.eot.photographs: expected a folder, as photograph_background or mix is not 0");
   }
 }
 

@@ -13,6 +13,8 @@ namespace {
 
 using at::Tensor;
 
+constexpr int64_t kBilinear = 0, kZeros = 0;  // of at::grid_sampler
+
 /// One number a picture, shaped to broadcast over `pictures` [N,C,H,W], on their device.
 Tensor column(const std::vector<float>& values, const Tensor& pictures) {
   return at::tensor(values).view({-1, 1, 1, 1}).to(pictures.device());
@@ -113,6 +115,37 @@ Tensor compress(const Tensor& x, const EotOptions& o, Random random) {
   return x.index_copy(0, index, jpeg_stand_in(x.index_select(0, index), qualities));
 }
 
+/// Adds a share of another photograph to each picture, whose own part keeps its strength.
+Tensor mix_in(const Tensor& x, double share, const Backgrounds& photographs, Random random) {
+  std::vector<Tensor> others;
+  for (int64_t i = 0; i < x.size(0); ++i) {
+    others.push_back(photographs.draw(x.size(2), x.size(3), random).permute({2, 0, 1}));
+  }
+  return (x + at::stack(others).to(x.device()) * share).clamp(0, 1);
+}
+
+/// Shrinks a share of the pictures, and pads them with black at a random place.
+Tensor diversify(const Tensor& x, const EotOptions& o, Random random) {
+  std::vector<int64_t> chosen;
+  std::vector<float> maps;
+  for (int64_t i = 0; i < x.size(0); ++i) {
+    const bool taken = random.uniform() < o.diversity;
+    const double size = random.uniform(o.diversity_low, 1);
+    const double dx = random.uniform(-1, 1) * (1 - size), dy = random.uniform(-1, 1) * (1 - size);
+    if (!taken) continue;
+    chosen.push_back(i);
+    for (const double m : {1 / size, 0.0, -dx / size, 0.0, 1 / size, -dy / size}) {
+      maps.push_back(static_cast<float>(m));
+    }
+  }
+  if (chosen.empty()) return x;
+  const Tensor index = at::tensor(chosen, at::kLong).to(x.device());
+  const Tensor theta = at::tensor(maps).view({-1, 2, 3}).to(x.device());
+  const Tensor whole = x.index_select(0, index);
+  const Tensor grid = at::affine_grid_generator(theta, whole.sizes(), false);
+  return x.index_copy(0, index, at::grid_sampler(whole, grid, kBilinear, kZeros, false));
+}
+
 /// The stream of a transform that draws from its own, so that switching it on leaves the others'
 /// draws as they are.
 Random stream_of(const char* transform, uint64_t seed, int64_t step) {
@@ -140,7 +173,6 @@ Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o,
   const int64_t n = images.size(0);
   const Tensor grid = at::affine_grid_generator(placements(n, o, random).to(images.device()),
                                                 {n, 4, size, size}, false);
-  constexpr int64_t kBilinear = 0, kZeros = 0;
   const Tensor placed = at::grid_sampler(images, grid, kBilinear, kZeros, false);
   const Tensor behind = backgrounds(n, size, o, photographs, random).to(images.device());
   Tensor x = placed.narrow(1, 0, 3) + (1 - placed.narrow(1, 3, 1)) * behind;
@@ -155,7 +187,11 @@ Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o,
     x = x + noise_tensor(x.sizes(), random.key(), random.position(), x.device()) * sigma;
   }
   x = x.clamp(0, 1);
-  return o.jpeg > 0 ? compress(x, o, stream_of("jpeg", seed, step)) : x;
+  if (o.jpeg > 0) x = compress(x, o, stream_of("jpeg", seed, step));
+  if (o.mix > 0 && photographs != nullptr)
+    x = mix_in(x, o.mix, *photographs, stream_of("mix", seed, step));
+  if (o.diversity > 0) x = diversify(x, o, stream_of("diversity", seed, step));
+  return x;
 }
 
 }  // namespace tt3d

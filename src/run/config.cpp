@@ -283,6 +283,9 @@ class Schema {
     number("attack.appearance_rate", a.appearance_rate, 0, 1, "", "learning rate of the look");
     number("attack.vertex_rate", a.vertex_rate, 0, 1, "", "learning rate of vertex offsets");
     number("attack.final_rate", a.final_rate, 1e-4, 1, "", "share of the rates left at the end");
+    text("attack.schedule", a.schedule, schedule_names(), "the rates' way there");
+    number("attack.momentum", a.momentum, 0, 1, "",
+           "share of past gradients in each direction, beside Adam's; 0: none");
     integer("attack.checkpoint_every", a.checkpoint_every, 1, 1e7, "steps",
             "steps between checkpoints");
   }
@@ -311,11 +314,17 @@ class Schema {
             "worst quality of these");
     integer("attack.eot.jpeg_quality_high", e.jpeg_quality_high, 1, 100, "",
             "best quality of these");
+    number("attack.eot.mix", e.mix, 0, 1, "",
+           "share of a photograph that is added to each picture");
+    number("attack.eot.diversity", e.diversity, 0, 1, "",
+           "share of pictures that are shrunk and padded with black");
+    number("attack.eot.diversity_low", e.diversity_low, 0.1, 1, "", "smallest size of these");
     number("attack.eot.plain_background", e.plain_background, 0, 1, "",
            "share of pictures on a random plain colour");
     number("attack.eot.photograph_background", e.photograph_background, 0, 1, "",
            "share of pictures on a photograph; the rest on white");
-    path("attack.eot.photographs", e.photographs, "folder of these photographs");
+    path("attack.eot.photographs", e.photographs,
+         "folder of the photographs for backgrounds and mix");
   }
 
   void bake_and_evaluate_keys(RunConfig& c) {

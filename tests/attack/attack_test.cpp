@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "attack/attacker.h"
 #include "attack/toy_attack.h"
 #include "support/count_notes.h"
 #include "support/gradient_check.h"
@@ -125,10 +126,45 @@ TEST(Attack, AFloorOnSimilarityHoldsTheColoursBack) {
   EXPECT_LT(distance[1], 0.5 * distance[0]);
 }
 
+TEST(Attack, MomentumGathersScaledGradients) {
+  // Two steps on known gradients; Adam then moves along the velocity.
+  AttackOptions o = toy_options();
+  o.optimize = {"vertices"};
+  o.momentum = 0.5;
+  const AttackInput input = ball_input(0);
+  const Attacker attacker(input, o, 1);
+  AttackState s = attacker.fresh();
+  Tensor first = at::zeros_like(input.mesh.vertices), second = at::zeros_like(first);
+  const auto count = static_cast<double>(first.numel());
+  first[0][0] = 3;  // scaled to a mean length of 1: count
+  second[0][0] = -1;
+  second[1][0] = 1;  // count / 2 each
+  attacker.apply({first}, s);
+  EXPECT_NEAR(s.velocity[0][0][0].item<double>(), count, 1e-3 * count);
+  attacker.apply({second}, s);
+  EXPECT_NEAR(s.velocity[0][0][0].item<double>(), 0, 1e-3 * count);
+  EXPECT_NEAR(s.velocity[0][1][0].item<double>(), count / 2, 1e-3 * count);
+}
+
+TEST(Attack, SchedulesGoFromOneToTheFinalRate) {
+  AttackOptions o;
+  o.final_rate = 0.2;
+  for (const std::string& name : schedule_names()) {
+    o.schedule = name;
+    EXPECT_NEAR(rate_share(o, 0), 1, 1e-12) << name;
+    EXPECT_NEAR(rate_share(o, 1), 0.2, 1e-12) << name;
+  }
+  o.schedule = "cosine";
+  EXPECT_NEAR(rate_share(o, 0.5), 0.6, 1e-12);
+  EXPECT_NEAR(rate_share(o, 1.0 / 3), 0.8, 1e-12);
+  o.schedule = "linear";
+  EXPECT_THROW((void)rate_share(o, 0), InputError);
+}
+
 TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
   Progress quiet;
   const AttackInput input = ball_input(0);
-  for (const char* preset : {"dual", "mesh"}) {
+  for (const char* preset : {"dual", "mesh", "strong"}) {
     testing::TemporaryFolder folder;
     const AttackOptions o = toy_options(attack_preset(preset));
     const AttackResult whole = run_attack(input, o, 1, folder / "whole", quiet);

@@ -56,6 +56,7 @@ std::vector<std::pair<std::string, std::function<void(EotOptions&)>>> switches()
           {"blur", [](EotOptions& o) { o.blur = 3; }},
           {"resolution", [](EotOptions& o) { o.resolution = 0.2; }},
           {"noise", [](EotOptions& o) { o.noise = 0.2; }},
+          {"diversity", [](EotOptions& o) { o.diversity = 1; }},
           {"jpeg", [](EotOptions& o) { o.jpeg = 1, o.jpeg_quality_low = 5; }}};
 }
 
@@ -249,6 +250,35 @@ TEST(EotDistribution, ShiftOfTheObject) {
   for (int k = 0; k < 3; ++k) {
     expect_uniform(moved().select(1, k), -0.2, 0.2, "object shift, axis " + std::to_string(k));
   }
+}
+
+TEST(EotDistribution, DiversityShrinksAndPadsWithBlack) {
+  EotOptions o = no_transforms();
+  o.diversity = 1;
+  o.diversity_low = 0.5;
+  const Tensor white = at::zeros({kDraws, 4, kSide, kSide});
+  const Tensor x = transform_images(white, kSide, o, 7, 0).mean(1);
+  const Tensor size = x.sum({1, 2}).sqrt() / kSide;
+  expect_uniform(size, 0.5, 1, "size");
+  // The picture stays whole wherever it goes, so its place is bounded by its size.
+  const Tensor place = centroid(x, 2).abs() / kSide;
+  EXPECT_LE(value((place - (1 - size) / 2).max()), 0.02);
+  EXPECT_GE(value((place / ((1 - size) / 2 + 0.01)).max()), 0.9);
+  o.diversity = 0.4;
+  const Tensor share = (transform_images(white, kSide, o, 7, 0).mean({1, 2, 3}) < 0.999);
+  EXPECT_NEAR(value(share.to(at::kDouble).mean()), 0.4, 0.1);
+}
+
+TEST(Eot, MixAddsAShareOfAPhotograph) {
+  testing::TemporaryFolder folder;
+  write_file_atomic(folder / "a.png", encode_png(at::full({6, 9, 3}, 51, at::kByte)));
+  const Backgrounds photographs(folder.path().string());
+  EotOptions o = no_transforms();
+  o.mix = 0.5;
+  const Tensor x = squares(2, 0.6, 0.3, 0.95, kSide / 2);
+  const Tensor out = transform_images(x, kSide, o, 1, 0, &photographs);
+  const Tensor wanted = at::tensor({0.7F, 0.4F, 1.F}).view({1, 3, 1, 1});
+  EXPECT_LT(value((out - wanted).abs().max()), 1e-3);
 }
 
 // ---- JPEG ---------------------------------------------------------------------------------

@@ -225,6 +225,47 @@ def test_render_makes_a_capture(finished: Path, tmp_path: Path) -> None:
     assert info["train_views"] == 3 and info["masks"] is True
 
 
+def test_attack_again_by_another_method_up_to_the_asset(finished: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(finished / "out", tmp_path / "out")
+    attack = ["attack", run, "--surrogate", MODEL, "--target", "teapot", "--method", "mesh"]
+    assert tt3d(*attack).returncode == 0
+    config = json.loads((run / "run.json").read_text())["config"]
+    assert config["attack.optimize"] == '["vertex-colors", "vertices"]'
+    assert config["attack.steps"] == "15"  # the file's, as before
+    done = tt3d("bake", run)
+    assert done.returncode == 0, done.stderr
+    assert hashes(run)["asset/clean.glb"] == hashes(finished / "out")["asset/clean.glb"]
+    assert hashes(run)["asset/adversarial.glb"] != hashes(finished / "out")["asset/adversarial.glb"]
+
+
+def test_untargeted_needs_the_true_class_and_no_target(finished: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(finished / "out", tmp_path / "out")
+    attack = ["attack", run, "--surrogate", MODEL, "--set", "attack.goal=untargeted"]
+    one_line(tt3d(*attack, "--set", "evaluate.true_class=''"), 2, "evaluate.true_class")
+    assert tt3d(*attack, "--true-class", "cup").returncode == 0
+
+
+def test_attack_lists_its_methods() -> None:
+    listed = tt3d("attack", "--list")
+    assert listed.returncode == 0
+    assert "dual" in listed.stdout and "CVPR 2024" in listed.stdout
+    methods = json.loads(tt3d("attack", "--json", "--list").stdout)
+    assert {"dual", "mesh", "paper", "strong"} <= {m["method"] for m in methods}
+    assert all(m["optimises"] and m["source"] for m in methods)
+
+
+def test_every_method_has_a_row_in_the_page() -> None:
+    page = (ROOT / "docs/attack.md").read_text()
+    for method in json.loads(tt3d("attack", "--json", "--list").stdout):
+        assert f"`{method['method']}`" in page
+
+
+def test_every_transform_has_a_row_in_the_page() -> None:
+    page = (ROOT / "docs/attack.md").read_text()
+    for key in json.loads(tt3d("config", "attack.eot", "--json").stdout):
+        assert f"`{key['key'].removeprefix('attack.eot.')}`" in page, key["key"]
+
+
 def one_line(done: subprocess.CompletedProcess[str], code: int, *parts: str) -> None:
     """The program ended with this code and one line that has these parts."""
     assert done.returncode == code, done.stderr

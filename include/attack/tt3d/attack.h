@@ -49,11 +49,15 @@ struct AttackOptions {
   std::string view_distribution = "dome";
   double appearance_rate = 1e-2;
   double vertex_rate = 1e-4;
-  double final_rate = 0.5;  ///< share of the rates left at the end (exponential)
+  double final_rate = 0.5;               ///< share of the rates left at the end
+  std::string schedule = "exponential";  ///< the way there: one of schedule_names
+  double momentum = 0;  ///< of past gradients in each step's direction, beside Adam's own; 0: none
   EotOptions eot;
   int64_t checkpoint_every = 50;
 };
 
+/// exponential; cosine: stays near the full rate first, and near the final one at the end.
+[[nodiscard]] const std::vector<std::string>& schedule_names();
 /// uniform, cotangent.
 [[nodiscard]] const std::vector<std::string>& laplacian_names();
 

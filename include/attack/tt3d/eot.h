@@ -36,11 +36,16 @@ struct EotOptions {
   double noise = 0.02;    ///< Gaussian, sigma U(0,noise), one draw for the batch (0)
   double jpeg = 0;        ///< share of pictures that pass through JPEG (0)
   int jpeg_quality_low = 40, jpeg_quality_high = 95;  ///< libjpeg's quality, 1 to 100
+  // Against overfitting to the surrogates; no camera does this.
+  double mix = 0;  ///< share of a photograph that is added (Admix; Wang et al., ICCV 2021) (0)
+  double diversity = 0;  ///< share of pictures that are shrunk and padded with black at a random
+                         ///< place (Xie et al., CVPR 2019) (0)
+  double diversity_low = 0.8;  ///< smallest size of these
 };
 
 /// `images` [N,4,H,W] premultiplied rendering, transformed and composited over a background:
 /// [N,3,size,size] in [0,1]. Placement happens before compositing and colours after, so the
-/// padding is background, not black. `photographs`: what photograph_background shows.
+/// padding is background, not black. `photographs`: what photograph_background and mix show.
 /// Keyed by (seed, step). Differentiable.
 [[nodiscard]] at::Tensor transform_images(const at::Tensor& images, int64_t size,
                                           const EotOptions& options, uint64_t seed, int64_t step,
