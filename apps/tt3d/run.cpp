@@ -13,7 +13,7 @@ namespace {
 
 /// What the commands of this file were given.
 struct Arguments {
-  std::string config, capture, run, target, true_class, method;
+  std::string config, capture, run, target, true_class, method, sticker_area;
   std::vector<std::string> sets, surrogates;
   bool restart = false;
 };
@@ -99,6 +99,7 @@ void attack(const Arguments& a, const Common& common) {
   assign("attack.target", a.target);
   assign("evaluate.true_class", a.true_class);
   assign("attack.method", a.method);
+  if (!a.sticker_area.empty()) assignments.push_back("attack.sticker_area=" + a.sticker_area);
   const Run run = continue_run(a, common, assignments, "attack");
   std::cout << (run.folder() / "attack" / "attack.safetensors").string() << "\n";
 }
@@ -152,6 +153,8 @@ void add_run_commands(CLI::App& app, Common& common) {
   command->add_option("--true-class", a->true_class, "class of the object, for untargeted attacks");
   command->add_option("--surrogate", a->surrogates, "models the attack may see")->required();
   command->add_option("--method", a->method, "preset; --list describes them");
+  command->add_option("--sticker-area", a->sticker_area,
+                      "share of the surface where colours are free");
   command->add_flag_callback(
       "--list",
       [&common] {

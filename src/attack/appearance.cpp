@@ -2,6 +2,8 @@
 
 #include <ATen/ATen.h>
 
+#include <string_view>
+
 namespace tt3d {
 namespace {
 
@@ -9,6 +11,9 @@ using at::Tensor;
 using NamedTensors = std::vector<std::pair<std::string, Tensor>>;
 
 constexpr const char* kVertexColors = "vertex_colors";
+constexpr const char* kMask = "mask";
+constexpr std::string_view kOutside =
+    "outside.";  // before the names of what the mask leaves as it is
 
 /// Each vertex as a surface point, on the first of its triangles.
 SurfacePoints vertex_points(const TriMesh& mesh) {
@@ -106,10 +111,52 @@ std::unique_ptr<Appearance> VertexColorAppearance::to(at::Device device) const {
 
 NamedTensors VertexColorAppearance::tensors() const { return {{kVertexColors, colors_}}; }
 
-std::unique_ptr<Appearance> read_appearance(const TensorFile& file, const Tensor& faces) {
+// ---- Masks --------------------------------------------------------------------------------
+
+Tensor MaskedAppearance::color(const SurfacePoints& points) const {
+  const Tensor triangle = points.rast.detach().select(1, 3).to(at::kLong) - 1;
+  return at::where(mask_.index_select(0, triangle), inside_->color(points),
+                   outside_->color(points));
+}
+
+std::unique_ptr<Appearance> MaskedAppearance::clone() const {
+  return std::make_unique<MaskedAppearance>(inside_->clone(), outside_, mask_);
+}
+
+std::unique_ptr<Appearance> MaskedAppearance::to(at::Device device) const {
+  return std::make_unique<MaskedAppearance>(inside_->to(device), outside_->to(device),
+                                            mask_.to(device));
+}
+
+NamedTensors MaskedAppearance::tensors() const {
+  NamedTensors named = inside_->tensors();
+  named.emplace_back(kMask, mask_.to(at::kByte));
+  for (const auto& [name, tensor] : outside_->tensors()) {
+    named.emplace_back(std::string(kOutside) + name, tensor);
+  }
+  return named;
+}
+
+namespace {
+
+std::unique_ptr<Appearance> read_unmasked(const TensorFile& file, const Tensor& faces) {
   if (!file.tensors.contains(kVertexColors)) return read_grid_mlp(file);
   return std::make_unique<VertexColorAppearance>(file.get(kVertexColors, {-1, 3}, at::kFloat),
                                                  faces);
+}
+
+}  // namespace
+
+std::unique_ptr<Appearance> read_appearance(const TensorFile& file, const Tensor& faces) {
+  auto inside = read_unmasked(file, faces);
+  if (!file.tensors.contains(kMask)) return inside;
+  TensorFile rest = {file.path, {}, {}};
+  for (const auto& [name, tensor] : file.tensors) {
+    if (name.starts_with(kOutside)) rest.tensors[name.substr(kOutside.size())] = tensor;
+  }
+  return std::make_unique<MaskedAppearance>(
+      std::move(inside), read_unmasked(rest, faces),
+      file.get(kMask, {faces.size(0)}, at::kByte).to(at::kBool));
 }
 
 }  // namespace tt3d

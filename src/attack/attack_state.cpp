@@ -3,6 +3,9 @@
 #include <ATen/ATen.h>
 
 #include <algorithm>
+#include <utility>
+
+#include "sticker.h"
 
 namespace tt3d {
 namespace {
@@ -15,8 +18,14 @@ constexpr const char* kVertices = "vertices";
 /// The parameterisation whose parts are optimised, with the clean object's colours.
 std::unique_ptr<Appearance> starting_appearance(const AttackInput& input,
                                                 const AttackOptions& options) {
-  if (!optimizes(options, "vertex-colors")) return input.appearance->clone();
-  return VertexColorAppearance::sample(*input.appearance, input.mesh);
+  auto look = optimizes(options, "vertex-colors")
+                  ? VertexColorAppearance::sample(*input.appearance, input.mesh)
+                  : input.appearance->clone();
+  if (options.sticker_area == 0) return look;
+  return std::make_unique<MaskedAppearance>(
+      std::move(look), input.appearance,
+      sticker_faces(input.mesh, options.sticker_area, options.sticker_azimuth_deg,
+                    options.sticker_elevation_deg));
 }
 
 void check_parts(const AttackOptions& options, const Appearance& appearance) {

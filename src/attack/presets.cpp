@@ -49,6 +49,14 @@ void meshadv_texture(AttackOptions& o) {
   o.psnr_floor = o.ssim_floor = 0;
 }
 
+/// Nothing but a patch changes, and that freely.
+void sticker(AttackOptions& o) {
+  o.optimize = {"grid", "mlp"};
+  o.sticker_area = 0.1;
+  o.rgb_weight = 0;
+  o.psnr_floor = o.ssim_floor = 0;
+}
+
 /// The pieces that help transfer in the literature, at its values; give it several surrogates.
 void strong(AttackOptions& o) {
   o.objective = "logit";
@@ -86,6 +94,8 @@ const std::vector<AttackPreset>& attack_presets() {
        "the baseline of TT3D, after Xiao et al., MeshAdv, CVPR 2019", mesh_baseline},
       {"paper", "dual with the paper's numbers: 25,000 steps of one view, cross-entropy", kTt3d,
        paper_numbers},
+      {"sticker", "grid and MLP, without limits, inside a patch of a tenth of the surface",
+       "after Oslund et al., Multiview robust adversarial stickers, 2022", sticker},
       {"strong", "as dual, with what keeps it from overfitting to its surrogates",
        "ours, of Dong et al. 2018, Xie et al. 2019, Zhao et al. 2021", strong},
       {"meshadv-shape", "vertices alone, their displacement kept smooth", kMeshAdv, meshadv_shape},

@@ -252,6 +252,12 @@ class Schema {
          "target class: index, WordNet id or name; an untargeted attack needs none");
     texts("attack.surrogates", c.attack_surrogates, {}, "models the attack may see");
     text("attack.objective", a.objective, objective_names(), "loss on the surrogates' logits");
+    number("attack.sticker_area", a.sticker_area, 0, 1, "",
+           "share of the surface where colours are free, a round patch; 0: all of it");
+    number("attack.sticker_azimuth_deg", a.sticker_azimuth_deg, -360, 360, "degrees",
+           "side of the object that the patch sits on");
+    number("attack.sticker_elevation_deg", a.sticker_elevation_deg, -90, 90, "degrees",
+           "its height on the object");
     text("attack.goal", a.goal, goal_names(), "towards the target, or away from the true class");
     text("attack.ensemble", a.ensemble, ensemble_names(), "what is averaged over the surrogates");
     number("attack.beta", a.beta, 0, 1e9, "", "strength of naturalness (paper: 1e3)");
@@ -503,9 +509,7 @@ void set_all(RunConfig& config, const std::vector<std::string>& assignments) {
   check_relations(config, "--set");
 }
 
-void set_config(RunConfig& config, const std::string& assignment) {
-  set_all(config, {assignment});
-}
+void set_config(RunConfig& config, const std::string& assignment) { set_all(config, {assignment}); }
 
 std::string config_toml(const RunConfig& config) {
   std::string out, section;

@@ -31,7 +31,7 @@ TEST(Attack, EachPresetReachesEveryTargetOfAToyClassifier) {
   Progress quiet;
   for (const AttackPreset& preset : attack_presets()) {
     const AttackOptions o = toy_options(preset);
-    if (!testing::frees_colors(o)) continue;  // shape alone paints nothing
+    if (!testing::frees_colors(o)) continue;  // shape or a patch is not enough
     for (const int64_t target : {0, 2}) {
       testing::TemporaryFolder folder;
       const AttackResult r = run_attack(ball_input(target), o, 1, folder / "c", quiet);

@@ -59,9 +59,9 @@ inline AttackOptions toy_options(const AttackPreset& preset = attack_preset("dua
   return o;
 }
 
-/// True if the options free more than the shape.
+/// True if the options free the colours, and everywhere.
 inline bool frees_colors(const AttackOptions& o) {
-  return o.optimize != std::vector<std::string>{"vertices"};
+  return o.optimize != std::vector<std::string>{"vertices"} && o.sticker_area == 0;
 }
 
 /// A ball whose colours ColorClassifier shall take for `target`, on `device`.

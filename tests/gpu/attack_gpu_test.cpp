@@ -28,7 +28,7 @@ TEST_F(AttackOnGpu, ReachesTheTargetAndGoesOnAfterAStop) {
   for (const AttackPreset& preset : attack_presets()) {
     testing::TemporaryFolder folder;
     const AttackOptions o = testing::toy_options(preset);
-    if (!testing::frees_colors(o)) continue;  // shape alone paints nothing
+    if (!testing::frees_colors(o)) continue;  // shape or a patch is not enough
     testing::StopAfter stop(15);
     EXPECT_THROW((void)run_attack(testing::ball_input(2, gpu), o, 1, folder / "c", stop),
                  Interrupted);

@@ -79,6 +79,27 @@ class VertexColorAppearance final : public Appearance {
   at::Tensor colors_, faces_;
 };
 
+/// One appearance on some triangles, and another, which stays as it is to the last bit, on the
+/// rest. Groups: the first one's.
+class MaskedAppearance final : public Appearance {
+ public:
+  /// mask [F] bool: the triangles that show `inside`.
+  MaskedAppearance(std::unique_ptr<Appearance> inside, std::shared_ptr<const Appearance> outside,
+                   at::Tensor mask)
+      : inside_(std::move(inside)), outside_(std::move(outside)), mask_(std::move(mask)) {}
+  [[nodiscard]] at::Tensor color(const SurfacePoints& points) const override;
+  [[nodiscard]] std::vector<ParameterGroup> groups() const override { return inside_->groups(); }
+  void constrain() const override { inside_->constrain(); }
+  [[nodiscard]] std::unique_ptr<Appearance> clone() const override;
+  [[nodiscard]] std::unique_ptr<Appearance> to(at::Device device) const override;
+  [[nodiscard]] std::vector<std::pair<std::string, at::Tensor>> tensors() const override;
+
+ private:
+  std::unique_ptr<Appearance> inside_;
+  std::shared_ptr<const Appearance> outside_;
+  at::Tensor mask_;
+};
+
 /// The appearance that a file's tensors hold; faces [F,3] int32 of its mesh. Throws InputError.
 [[nodiscard]] std::unique_ptr<Appearance> read_appearance(const TensorFile& file,
                                                           const at::Tensor& faces);

@@ -26,16 +26,18 @@ namespace tt3d {
 struct AttackOptions {
   /// Parts that are optimised; vertex-colors excludes grid and mlp.
   std::vector<std::string> optimize = {"grid", "mlp", "vertices"};
-  std::string objective = "cross-entropy";  ///< one of objective_names
-  std::string goal = "targeted";            ///< targeted; untargeted: away from the class
-  std::string ensemble = "losses";          ///< how several surrogates combine: ensemble_names
-  double beta = 1000;                       ///< strength of naturalness
-  double rgb_weight = 1;                    ///< l1
-  double chamfer_weight = 3000;             ///< l2
-  double laplacian_weight = 1e-3;           ///< l3
-  double edge_weight = 1e-2;                ///< l4
-  std::string laplacian = "uniform";        ///< weights of R_lap: one of laplacian_names
-  double psnr_floor = 0;  ///< dB; below 0 disables: R_rgb counts only beyond this error
+  double sticker_area = 0;  ///< share of the surface where colours are free: a round patch; 0: all
+  double sticker_azimuth_deg = 0, sticker_elevation_deg = 0;  ///< the side that it sits on
+  std::string objective = "cross-entropy";                    ///< one of objective_names
+  std::string goal = "targeted";      ///< targeted; untargeted: away from the class
+  std::string ensemble = "losses";    ///< how several surrogates combine: ensemble_names
+  double beta = 1000;                 ///< strength of naturalness
+  double rgb_weight = 1;              ///< l1
+  double chamfer_weight = 3000;       ///< l2
+  double laplacian_weight = 1e-3;     ///< l3
+  double edge_weight = 1e-2;          ///< l4
+  std::string laplacian = "uniform";  ///< weights of R_lap: one of laplacian_names
+  double psnr_floor = 0;              ///< dB; below 0 disables: R_rgb counts only beyond this error
   double ssim_floor = 0;  ///< SSIM to the clean pictures; what is missing to it counts; 0: nothing
   double ssim_weight = 0.05;       ///< weight of what is missing
   double displacement_weight = 0;  ///< of the squared difference of neighbours' offsets (MeshAdv)

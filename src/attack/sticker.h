@@ -1,0 +1,15 @@
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include "tt3d/mesh.h"
+
+namespace tt3d {
+
+/// A round sticker: faces [F] (bool, on the mesh's device) that make up `area` of the surface (0 to
+/// 1), connected, nearest to the face furthest out towards (azimuth, elevation). Angles as those of
+/// views. On a mesh of several components it ends with the one that it sits on.
+[[nodiscard]] at::Tensor sticker_faces(const TriMesh& mesh, double area, double azimuth_deg,
+                                       double elevation_deg);
+
+}  // namespace tt3d
