@@ -57,8 +57,10 @@ Attacker::Attacker(const AttackInput& input, const AttackOptions& options, uint6
       prepared_(input.mesh.faces) {}
 
 AttackCurvePoint Attacker::compute(const AttackState& s, std::vector<Tensor>& grads) const {
+  const auto free = free_parameters(s, options_);
   std::vector<Tensor> parameters;
-  for (const FreeParameter& p : free_parameters(s, options_)) parameters.push_back(p.tensor);
+  parameters.reserve(free.size());
+  for (const FreeParameter& p : free) parameters.push_back(p.tensor);
   const Tensor vertices = input_.mesh.vertices + s.offsets;
   const Rendering shown = render(s, vertices);
   std::vector<Tensor> hits;
