@@ -33,6 +33,10 @@ target_include_directories(TorchLibs::cpu SYSTEM INTERFACE
   "${TT3D_TORCH_DIR}/include" "${TT3D_TORCH_DIR}/include/torch/csrc/api/include")
 target_link_libraries(TorchLibs::cpu INTERFACE "${TORCH_CPU_LIBRARY}" "${TORCH_C10_LIBRARY}")
 target_compile_definitions(TorchLibs::cpu INTERFACE _GLIBCXX_USE_CXX11_ABI=1)
+# at::parallel_for is a header: without OpenMP it is a plain loop, silently. It shares the wheel's own
+# libgomp. (The fuzz targets' clang brings no OpenMP along: their readers have no loops of it.)
+target_compile_options(TorchLibs::cpu INTERFACE $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-fopenmp>)
+target_link_libraries(TorchLibs::cpu INTERFACE "${TT3D_TORCH_DIR}/lib/libgomp.so.1")
 foreach(_dir IN LISTS TORCH_LIBS_RPATH)
   target_link_options(TorchLibs::cpu INTERFACE "LINKER:-rpath,${_dir}" "LINKER:-rpath-link,${_dir}")
 endforeach()
