@@ -16,6 +16,7 @@ using at::Tensor;
 constexpr int64_t kOccupancyEvery = 16;
 constexpr int64_t kAverageSteps = 200;  ///< 0.95^200 is nothing: earlier averaging is invisible
 constexpr double kAverageDecay = 0.95;
+
 /// Everything that changes while training; saved and restored whole.
 struct TrainingState {
   RadianceField field;

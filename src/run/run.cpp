@@ -47,10 +47,6 @@ json read_run_file(const fs::path& path) {
   }
 }
 
-}  // namespace
-
-namespace {
-
 /// What later stages read of a stage: it is done where this is there.
 fs::path product_of(const std::string& stage) {
   static const std::map<std::string, fs::path> products = {
