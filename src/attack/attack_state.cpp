@@ -5,8 +5,6 @@
 #include <algorithm>
 #include <utility>
 
-#include "sticker.h"
-
 namespace tt3d {
 namespace {
 
@@ -14,31 +12,6 @@ using at::Tensor;
 
 constexpr int64_t kCurveColumns = 8;
 constexpr const char* kVertices = "vertices";
-
-/// The parameterisation whose parts are optimised, with the clean object's colours.
-std::unique_ptr<Appearance> starting_appearance(const AttackInput& input,
-                                                const AttackOptions& options) {
-  auto look = optimizes(options, "vertex-colors")
-                  ? VertexColorAppearance::sample(*input.appearance, input.mesh)
-                  : input.appearance->clone();
-  if (options.sticker_area == 0) return look;
-  return std::make_unique<MaskedAppearance>(
-      std::move(look), input.appearance,
-      sticker_faces(input.mesh, options.sticker_area, options.sticker_azimuth_deg,
-                    options.sticker_elevation_deg));
-}
-
-void check_parts(const AttackOptions& options, const Appearance& appearance) {
-  std::vector<std::string> parts = {kVertices};
-  for (const ParameterGroup& g : appearance.groups()) parts.push_back(g.name);
-  if (options.optimize.empty()) throw InputError("attack.optimize: name at least one part");
-  for (const std::string& part : options.optimize) {
-    if (std::find(parts.begin(), parts.end(), part) != parts.end()) continue;
-    std::string has;
-    for (const std::string& p : parts) has += (has.empty() ? "" : ", ") + p;
-    throw InputError("attack.optimize: '" + part + "' does not go together with this look: " + has);
-  }
-}
 
 }  // namespace
 
@@ -48,7 +21,9 @@ bool optimizes(const AttackOptions& options, const std::string& part) {
 }
 
 const std::vector<std::string>& attack_parts() {
-  static const std::vector<std::string> parts = {"grid", "mlp", "vertex-colors", kVertices};
+  static const std::vector<std::string> parts = {"grid",    "mlp",    "vertex-colors",
+                                                 "texture", "tile",   "material",
+                                                 "normals", "lights", kVertices};
   return parts;
 }
 
@@ -65,8 +40,7 @@ std::vector<FreeParameter> free_parameters(const AttackState& s, const AttackOpt
 AttackState fresh_state(const AttackInput& input, const AttackOptions& options) {
   AttackState s;
   s.offsets = at::zeros_like(input.mesh.vertices);
-  s.appearance = starting_appearance(input, options);
-  check_parts(options, *s.appearance);
+  s.appearance = starting_look(input, options);
   for (const FreeParameter& p : free_parameters(s, options)) {
     s.moment1.push_back(at::zeros_like(p.tensor));
     s.moment2.push_back(at::zeros_like(p.tensor));

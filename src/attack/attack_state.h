@@ -32,6 +32,11 @@ struct FreeParameter {
 [[nodiscard]] std::vector<FreeParameter> free_parameters(const AttackState& state,
                                                          const AttackOptions& options);
 
+/// The look whose parts are optimised, with the clean object's colours where it can have them.
+/// Throws InputError for parts that do not go together, or for a texture map that is missing.
+[[nodiscard]] std::unique_ptr<Appearance> starting_look(const AttackInput& input,
+                                                        const AttackOptions& options);
+
 /// The state before the first step. Throws InputError for a part that this object has not.
 [[nodiscard]] AttackState fresh_state(const AttackInput& input, const AttackOptions& options);
 

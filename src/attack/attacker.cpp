@@ -7,6 +7,9 @@
 #include <numbers>
 #include <utility>
 
+#include "color_space.h"
+#include "looks.h"
+
 namespace tt3d {
 namespace {
 
@@ -64,7 +67,8 @@ AttackCurvePoint Attacker::compute(const AttackState& s, std::vector<Tensor>& gr
   const Tensor vertices = input_.mesh.vertices + s.offsets;
   const Rendering shown = render(s, vertices);
   std::vector<Tensor> hits;
-  const Tensor objective = ensemble_.loss(shown.pictures, s.step, hits);
+  const Tensor lit = light_pictures(shown.pictures, shown.normals, options_.eot, seed_, s.step);
+  const Tensor objective = ensemble_.loss(lit, s.step, hits);
   const Naturalness::Terms natural = naturalness_.terms(shown, vertices);
   const Tensor loss = objective + options_.beta * natural.total;
   grads = torch::autograd::grad({loss}, parameters);
@@ -97,10 +101,11 @@ std::vector<Camera> Attacker::cameras(int64_t step) const {
   return shift_object(std::move(sampled), input_.frame.radius, options_.eot, seed_, step);
 }
 
-/// Renders the step's views.
+/// Renders the step's views: the colours and, where they are asked for, the clean colours and the
+/// normals, as channels of one picture.
 Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
   const auto pixels = static_cast<double>(3 * views_ * options_.image_size * options_.image_size);
-  const bool with_clean = naturalness_.compares_pictures();
+  const bool with_clean = naturalness_.compares_pictures(), with_normals = options_.eot.light > 0;
   Rendering shown;
   // The appearance sticks to the surface: points are looked up where they rest.
   const Tensor rendered = render_mesh(
@@ -111,15 +116,21 @@ Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
           at::NoGradGuard guard;
           clean = input_.appearance->color({points.positions.detach(), points.rast.detach()});
         }
-        shown.rgb = (shown.colors - clean).square().sum() / pixels;
-        return with_clean ? at::cat({shown.colors, clean}) : shown.colors;
+        shown.rgb = color_distance(options_.color_space, shown.colors, clean) / pixels;
+        std::vector<Tensor> channels = {shown.colors};
+        if (with_clean) channels.push_back(clean);
+        if (with_normals) {
+          channels.push_back(
+              at_points(vertex_normals(vertices, prepared_.faces), points, prepared_.faces));
+        }
+        return channels.size() == 1 ? shown.colors : at::cat(channels);
       });
   const Tensor picture = rendered.permute({0, 3, 1, 2});
+  const int64_t last = picture.size(1) - 1;
   shown.pictures = picture;
-  if (with_clean) {
-    shown.pictures = at::cat({picture.narrow(1, 0, 3), picture.narrow(1, 6, 1)}, 1);
-    shown.clean = picture.narrow(1, 3, 3);
-  }
+  if (last > 3) shown.pictures = at::cat({picture.narrow(1, 0, 3), picture.narrow(1, last, 1)}, 1);
+  if (with_clean) shown.clean = picture.narrow(1, 3, 3);
+  if (with_normals) shown.normals = picture.narrow(1, last - 3, 3);
   return shown;
 }
 

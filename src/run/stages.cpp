@@ -58,6 +58,26 @@ double mesh_psnr(const RefinedMesh& r, const Capture& capture, Progress& progres
       progress);
 }
 
+/// Beside the mesh that it belongs to.
+constexpr const char* kAtlas = "mesh/atlas.safetensors";
+
+/// What a look shows, at an atlas's texels: [H,W,3] uint8.
+Tensor bake_look(const Atlas& atlas, const TriMesh& rest, const Appearance& look,
+                 at::Device device) {
+  const auto there = look.to(device);
+  return bake_texture(atlas, rest.vertices, rest.faces, [&](const SurfacePoints& p) {
+    return there->color({p.positions.to(device), p.rast.to(device)}).cpu();
+  });
+}
+
+/// Where the surface lies in a texture, and its clean colours there.
+void add_texture_map(Atlas atlas, const AttackResult& clean, int64_t size, at::Device device,
+                     AttackInput& input) {
+  atlas.width = atlas.height = static_cast<int>(size);
+  input.map = TextureMap{atlas.uvs, atlas.uv_faces}.to(device);
+  input.texels = bake_look(atlas, clean.mesh, *clean.appearance, device).to(device);
+}
+
 }  // namespace
 
 std::string class_of_objective(const RunConfig& config) {
@@ -67,6 +87,24 @@ std::string class_of_objective(const RunConfig& config) {
   throw InputError(targeted ? "attack.target: expected a class"
                             : "evaluate.true_class: expected the object's class, which an "
                               "untargeted attack leads away from");
+}
+
+Atlas Run::atlas(const TriMesh& mesh) const {
+  const fs::path path = folder_ / kAtlas;
+  const Tensor wanted = at::tensor({config_.bake_resolution, config_.bake_padding}, at::kLong);
+  if (fs::exists(path)) {
+    const TensorFile file = load_tensors(path);
+    if (at::equal(file.get("size", {2}, at::kLong), wanted)) {
+      return {file.get("uvs", {-1, 2}, at::kFloat),
+              file.get("uv_faces", {mesh.faces.size(0), 3}, at::kInt), config_.bake_resolution,
+              config_.bake_resolution};
+    }
+  }
+  const Atlas cut = unwrap(mesh.vertices, mesh.faces, config_.bake_resolution, config_.bake_padding,
+                           config_.unwrap_time_limit);
+  save_tensors(path, {{"uvs", cut.uvs}, {"uv_faces", cut.uv_faces}, {"size", wanted}},
+               {{"format", "tt3d atlas"}});
+  return cut;
 }
 
 void Run::run_field(Progress& progress) {
@@ -97,6 +135,7 @@ void Run::run_mesh(Progress& progress) {
   const MeshFacts facts = inspect(refined.mesh);
   const double psnr = mesh_psnr(refined, photos, progress);
   save_attack(as_result(refined), folder / "mesh.safetensors");
+  fs::remove(folder_ / kAtlas);  // of another mesh
   write_ply(refined.mesh, photos.normalization, folder / "mesh.ply");
   write_json(folder / "metrics.json", {{"psnr_test", psnr},
                                        {"faces", facts.faces},
@@ -122,6 +161,9 @@ void Run::run_attack_stage(Progress& progress) {
     input_hashes_[model->card().name + ".pt2"] = model->card().sha256;
     input.surrogates.push_back(model);
   }
+  if (needs_texture_map(config_.attack)) {
+    add_texture_map(atlas(clean.mesh), clean, config_.attack.texture_size, device_, input);
+  }
   const fs::path checkpoint = folder / "checkpoint.safetensors";
   const AttackResult result = run_attack(input, config_.attack, config_.seed, checkpoint, progress);
   save_attack(result, folder / "attack.safetensors");
@@ -136,8 +178,7 @@ void Run::run_bake(Progress& progress) {
   const AttackResult clean = load_attack(folder_ / "mesh" / "mesh.safetensors");
   const AttackResult adversarial = load_attack(folder_ / "attack" / "attack.safetensors");
   progress.begin("bake", 3, 0);
-  const Atlas atlas = unwrap(clean.mesh.vertices, clean.mesh.faces, config_.bake_resolution,
-                             config_.bake_padding, config_.unwrap_time_limit);
+  const Atlas map = atlas(clean.mesh);
   progress.update(1, {});
   write_view_frame(world_frame(photos), folder);
   int64_t done = 1;
@@ -147,14 +188,10 @@ void Run::run_bake(Progress& progress) {
     TexturedMesh asset;
     asset.vertices = to_world(result->mesh.vertices, n);
     asset.faces = result->mesh.faces;
-    asset.uvs = atlas.uvs;
-    asset.uv_faces = atlas.uv_faces;
+    asset.uvs = map.uvs;
+    asset.uv_faces = map.uv_faces;
     // Colours sit on the rest surface, which the clean mesh is.
-    const auto look = result->appearance->to(device_);
-    asset.texture =
-        bake_texture(atlas, clean.mesh.vertices, clean.mesh.faces, [&](const SurfacePoints& p) {
-          return look->color({p.positions.to(device_), p.rast.to(device_)}).cpu();
-        });
+    asset.texture = bake_look(map, clean.mesh, *result->appearance, device_);
     write_glb(asset, folder / (std::string(name) + ".glb"));
     write_obj(asset, folder / (std::string(name) + ".obj"));
     progress.update(++done, {});

@@ -55,10 +55,8 @@ TEST(Attack, OnlyThePresetsParametersMove) {
     EXPECT_EQ(at::equal(r.mesh.vertices, input.mesh.vertices), !contains(o.optimize, "vertices"))
         << preset.name;
     EXPECT_TRUE(at::equal(r.mesh.faces, input.mesh.faces));
-    const bool per_vertex = contains(o.optimize, "vertex-colors");
-    const auto sampled = VertexColorAppearance::sample(*input.appearance, input.mesh);
-    const auto clean = per_vertex ? sampled->groups() : input.appearance->groups();
-    const auto moved = r.appearance->groups();
+    const auto start = starting_look(input, o);
+    const auto clean = start->groups(), moved = r.appearance->groups();
     ASSERT_EQ(moved.size(), clean.size());
     for (size_t g = 0; g < moved.size(); ++g) {
       for (size_t i = 0; i < moved[g].tensors.size(); ++i) {
@@ -74,10 +72,24 @@ TEST(Attack, PartsThatDoNotGoTogetherAreInputErrors) {
   Progress quiet;
   testing::TemporaryFolder folder;
   for (const std::vector<std::string>& parts :
-       {std::vector<std::string>{"grid", "vertex-colors"}, {}, {"texture"}}) {
+       {std::vector<std::string>{"grid", "vertex-colors"}, {}, {"texture", "tile"}, {"textures"}}) {
     AttackOptions o = toy_options();
     o.optimize = parts;
     EXPECT_THROW((void)run_attack(ball_input(0), o, 1, folder / "c", quiet), InputError);
+  }
+}
+
+TEST(Attack, ATextureNeedsAMapAndATileAMapping) {
+  AttackInput input = ball_input(0);
+  AttackOptions o = toy_options(attack_preset("triplanar"));
+  EXPECT_FALSE(needs_texture_map(o));
+  o.tile_mapping = "spherical";
+  EXPECT_THROW((void)starting_look(input, o), InputError);
+  input.map = {};
+  for (const char* preset : {"texture", "repeated"}) {
+    o = toy_options(attack_preset(preset));
+    EXPECT_TRUE(needs_texture_map(o)) << preset;
+    EXPECT_THROW((void)starting_look(input, o), InputError) << preset;
   }
 }
 
@@ -222,19 +234,26 @@ TEST(Attack, StopsAfterThreeRollBacks) {
   EXPECT_EQ(notes.count, 3);
 }
 
-TEST(Attack, SaveAndLoad) {
+TEST(Attack, EveryPresetIsSavedAndLoaded) {
   Progress quiet;
-  for (const char* preset : {"dual", "mesh"}) {
+  for (const AttackPreset& preset : attack_presets()) {
     testing::TemporaryFolder folder;
-    AttackOptions o = toy_options(attack_preset(preset));
-    o.steps = 3;
+    AttackOptions o = toy_options(preset);
+    o.steps = 2;
     const AttackResult r = run_attack(ball_input(0), o, 1, folder / "c", quiet);
     save_attack(r, folder / "r.safetensors");
     const AttackResult back = load_attack(folder / "r.safetensors");
     EXPECT_TRUE(at::equal(r.mesh.vertices, back.mesh.vertices));
     const auto before = r.appearance->parameters(), after = back.appearance->parameters();
     ASSERT_EQ(before.size(), after.size());
-    for (size_t i = 0; i < after.size(); ++i) EXPECT_TRUE(at::equal(before[i], after[i])) << i;
+    for (size_t i = 0; i < after.size(); ++i) {
+      EXPECT_TRUE(at::equal(before[i], after[i])) << preset.name << " " << i;
+    }
+    const Tensor number = at::arange(1, 5).to(at::kFloat), third = at::full({4}, 1.F / 3);
+    const SurfacePoints points = {r.mesh.vertices.narrow(0, 0, 4),
+                                  at::stack({third, third, third, number}, 1)};
+    EXPECT_TRUE(at::equal(r.appearance->color(points), back.appearance->color(points)))
+        << preset.name;
     EXPECT_EQ(curves_csv(r.curves), curves_csv(back.curves));
   }
 }

@@ -24,8 +24,12 @@ namespace tt3d {
 [[nodiscard]] const std::vector<std::string>& attack_parts();
 
 struct AttackOptions {
-  /// Parts that are optimised; vertex-colors excludes grid and mlp.
+  /// Parts that are optimised; those of one look and, beside them, vertices.
   std::vector<std::string> optimize = {"grid", "mlp", "vertices"};
+  int64_t texture_size = 512;          ///< texels a side, of part texture
+  int64_t tile_size = 128;             ///< texels a side, of part tile
+  std::string tile_mapping = "atlas";  ///< how the tile covers the surface: tile_mapping_names
+  double tile_repeats = 4;             ///< tiles along the side of the atlas or of the object's box
   double sticker_area = 0;  ///< share of the surface where colours are free: a round patch; 0: all
   double sticker_azimuth_deg = 0, sticker_elevation_deg = 0;  ///< the side that it sits on
   std::string objective = "cross-entropy";                    ///< one of objective_names
@@ -33,6 +37,7 @@ struct AttackOptions {
   std::string ensemble = "losses";    ///< how several surrogates combine: ensemble_names
   double beta = 1000;                 ///< strength of naturalness
   double rgb_weight = 1;              ///< l1
+  std::string color_space = "rgb";    ///< where R_rgb measures: one of color_space_names
   double chamfer_weight = 3000;       ///< l2
   double laplacian_weight = 1e-3;     ///< l3
   double edge_weight = 1e-2;          ///< l4
@@ -43,7 +48,8 @@ struct AttackOptions {
   double displacement_weight = 0;  ///< of the squared difference of neighbours' offsets (MeshAdv)
   double variation_weight = 0;     ///< of the total variation of the change, in the pictures
   double printability_weight = 0;  ///< of the distance to the nearest printable colour
-  std::filesystem::path printer_colors;  ///< the printable ones: three numbers in [0,1] a line
+  std::filesystem::path printer_colors;  ///< the printable ones: three numbers in [0,1] a line;
+                                         ///< empty: mixes of process inks
   double max_displacement = 0;           ///< hard bound on a vertex's way, object box / 2; 0: none
   int64_t steps = 800;
   int64_t views_per_step = 6;
@@ -60,6 +66,10 @@ struct AttackOptions {
 
 /// exponential; cosine: stays near the full rate first, and near the final one at the end.
 [[nodiscard]] const std::vector<std::string>& schedule_names();
+/// atlas: the tile repeats over the texture's charts; triplanar: along the three axes.
+[[nodiscard]] const std::vector<std::string>& tile_mapping_names();
+/// rgb: squared distance of sRGB colours; lab: of CIE L*a*b*, in hundreds.
+[[nodiscard]] const std::vector<std::string>& color_space_names();
 /// uniform, cotangent.
 [[nodiscard]] const std::vector<std::string>& laplacian_names();
 
@@ -74,11 +84,17 @@ struct AttackPreset {
 /// Throws InputError for an unknown name.
 [[nodiscard]] const AttackPreset& attack_preset(const std::string& name);
 
+/// True if the attack needs AttackInput::map.
+[[nodiscard]] bool needs_texture_map(const AttackOptions& options);
+
 /// The shape and look that the attack changes, and the models it may see. Mesh and appearance lie
 /// on the device that it runs on; the models follow.
 struct AttackInput {
   TriMesh mesh;
   std::shared_ptr<const Appearance> appearance;
+  /// Where the surface lies in a texture, for parts texture and tile; undefined where none asks.
+  TextureMap map;
+  at::Tensor texels;  ///< [S,S,3] uint8, the clean colours there, for part texture
   ViewFrame frame;
   std::vector<std::shared_ptr<const Classifier>> surrogates;
   /// The class that the objective is about in each surrogate's labels: the target or, untargeted,

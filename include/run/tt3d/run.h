@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "tt3d/attack.h"
+#include "tt3d/bake.h"
 #include "tt3d/capture.h"
 #include "tt3d/core.h"
 #include "tt3d/evaluate.h"
@@ -122,6 +123,8 @@ class Run {
   void run_evaluate(Progress& progress);
   void run_report(Progress& progress);
   const Capture& capture(Progress& progress);
+  /// The clean mesh's map, cut once and kept beside it.
+  [[nodiscard]] Atlas atlas(const TriMesh& mesh) const;
 
   std::filesystem::path folder_;
   RunConfig config_;
