@@ -10,6 +10,13 @@
 
 namespace tt3d {
 
+/// The state that did best on the held-out views so far.
+struct BestState {
+  std::vector<at::Tensor> tensors;  ///< offsets and the appearance's parameters
+  double success = -1;
+  int64_t age = 0;  ///< epochs since
+};
+
 /// Everything that changes while attacking; saved and restored whole.
 struct AttackState {
   at::Tensor offsets;  ///< [V,3]
@@ -17,6 +24,8 @@ struct AttackState {
   std::vector<at::Tensor> moment1, moment2;  ///< of free_parameters, in its order
   std::vector<at::Tensor> velocity;          ///< likewise, where attack.momentum is not 0
   std::vector<AttackCurvePoint> curves;
+  std::vector<AttackEpoch> epochs;
+  BestState best;  ///< empty without epochs
   int64_t step = 0;
   Recovery recovery;
 };
@@ -43,6 +52,9 @@ struct FreeParameter {
 void save_state(const AttackState& state, const std::filesystem::path& path);
 /// Restores into a fresh state of the same attack.
 void load_state(const std::filesystem::path& path, AttackState& state);
+
+/// The offsets and all of the appearance's parameters.
+[[nodiscard]] std::vector<at::Tensor> object_tensors(const AttackState& state);
 
 /// The log as a tensor [steps,8] float64, and back.
 [[nodiscard]] at::Tensor curves_tensor(const std::vector<AttackCurvePoint>& curves);

@@ -3,6 +3,7 @@
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/autograd.h>
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <utility>
@@ -99,6 +100,29 @@ std::vector<Camera> Attacker::cameras(int64_t step) const {
     sampled.push_back(v.camera);
   }
   return shift_object(std::move(sampled), input_.frame.radius, options_.eot, seed_, step);
+}
+
+double Attacker::held_out_success(const AttackState& s) const {
+  constexpr uint64_t kHeldOut = 0x0E90C4ULL;  // a seed of its own: neither training nor evaluation
+  at::NoGradGuard guard;
+  const Tensor vertices = input_.mesh.vertices + s.offsets;
+  const auto size = static_cast<int>(options_.image_size);
+  double sum = 0;
+  for (int64_t first = 0; first < options_.held_out_views; first += views_) {
+    const int64_t count = std::min(views_, options_.held_out_views - first);
+    std::vector<Camera> cameras;
+    for (const SampledView& v : sample_views(options_.view_distribution, seed_ ^ kHeldOut, first,
+                                             count, size, input_.frame)) {
+      cameras.push_back(v.camera);
+    }
+    const Tensor shown =
+        render_mesh(vertices, input_.mesh.vertices, prepared_, cameras,
+                    [&](const SurfacePoints& points) { return s.appearance->color(points); })
+            .permute({0, 3, 1, 2});
+    const Tensor on_white = shown.narrow(1, 0, 3) + (1 - shown.narrow(1, 3, 1));
+    sum += ensemble_.success(on_white.clamp(0, 1).contiguous()) * static_cast<double>(count);
+  }
+  return sum / static_cast<double>(options_.held_out_views);
 }
 
 /// Renders the step's views: the colours and, where they are asked for, the clean colours and the

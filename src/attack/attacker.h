@@ -26,6 +26,9 @@ class Attacker {
   [[nodiscard]] AttackState fresh() const { return fresh_state(input_, options_); }
   /// Loss and gradients of a step, one a free parameter; the curve point has its parts.
   AttackCurvePoint compute(const AttackState& state, std::vector<at::Tensor>& grads) const;
+  /// Success on held-out views on white, as each surrogate's users would show them: what evaluation
+  /// measures, by views of another stream.
+  [[nodiscard]] double held_out_success(const AttackState& state) const;
   /// Moves the free parameters along the gradients.
   void apply(const std::vector<at::Tensor>& grads, AttackState& state) const;
 

@@ -140,6 +140,11 @@ void Schema::attack_keys(RunConfig& c) {
   text("attack.schedule", a.schedule, schedule_names(), "the rates' way there");
   number("attack.momentum", a.momentum, 0, 1, "",
          "share of past gradients in each direction, beside Adam's; 0: none");
+  integer("attack.epoch", a.epoch, 0, 1e7, "steps",
+          "steps after which held-out views are scored and the best state is kept; 0: never");
+  integer("attack.held_out_views", a.held_out_views, 1, 1e5, "", "views that are scored");
+  integer("attack.patience", a.patience, 0, 1e6, "epochs",
+          "stops after that many without a higher success; 0: never");
   integer("attack.checkpoint_every", a.checkpoint_every, 1, 1e7, "steps",
           "steps between checkpoints");
 }

@@ -42,7 +42,7 @@ void write_json(const fs::path& path, const json& j) { write_file_atomic(path, j
 
 /// An attack's result that changed nothing: how the refined mesh is stored.
 AttackResult as_result(const RefinedMesh& refined) {
-  return {refined.mesh, std::make_shared<GridMlpAppearance>(refined.appearance), {}};
+  return {refined.mesh, std::make_shared<GridMlpAppearance>(refined.appearance), {}, {}};
 }
 
 double mesh_psnr(const RefinedMesh& r, const Capture& capture, Progress& progress) {
@@ -168,6 +168,8 @@ void Run::run_attack_stage(Progress& progress) {
   const AttackResult result = run_attack(input, config_.attack, config_.seed, checkpoint, progress);
   save_attack(result, folder / "attack.safetensors");
   write_file_atomic(folder / "curves.csv", curves_csv(result.curves));
+  if (!result.epochs.empty())
+    write_file_atomic(folder / "epochs.csv", epochs_csv(result.epochs));
   fs::remove(checkpoint);
 }
 

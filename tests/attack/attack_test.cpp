@@ -178,7 +178,8 @@ TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
   const AttackInput input = ball_input(0);
   for (const char* preset : {"dual", "mesh", "strong"}) {
     testing::TemporaryFolder folder;
-    const AttackOptions o = toy_options(attack_preset(preset));
+    AttackOptions o = toy_options(attack_preset(preset));
+    if (preset == std::string("mesh")) o.epoch = 4, o.held_out_views = 3;
     const AttackResult whole = run_attack(input, o, 1, folder / "whole", quiet);
     Random random(7, "stops");
     for (int stops = 0; stops < 4; ++stops) {
@@ -192,7 +193,86 @@ TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
     save_attack(whole, folder / "a.safetensors");
     save_attack(again, folder / "b.safetensors");
     EXPECT_EQ(read_file(folder / "a.safetensors"), read_file(folder / "b.safetensors")) << preset;
+    EXPECT_EQ(epochs_csv(whole.epochs), epochs_csv(again.epochs));
   }
+}
+
+/// The toy attack in epochs.
+AttackOptions epochs_of_five() {
+  AttackOptions o = toy_options();
+  o.epoch = 5;
+  o.held_out_views = 3;
+  return o;
+}
+
+TEST(Epochs, AreLoggedAndTheBestStateIsKept) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  const AttackInput input = ball_input(0);
+  AttackOptions o = epochs_of_five();
+  const AttackResult r = run_attack(input, o, 1, folder / "c", quiet);
+  ASSERT_EQ(r.epochs.size(), 8U);
+  for (size_t e = 0; e < 8; ++e) {
+    EXPECT_EQ(r.epochs[e].step, static_cast<int64_t>(5 * (e + 1)));
+    double success = 0;
+    for (size_t i = 5 * e; i < 5 * e + 5; ++i) success += r.curves[i].success / 5;
+    EXPECT_NEAR(r.epochs[e].success, success, 1e-12);
+  }
+  EXPECT_EQ(r.epochs.back().held_out, 1);
+  // Scoring draws from a stream of its own: the steps are those of an attack without epochs.
+  o.epoch = 0;
+  const AttackResult plain = run_attack(input, o, 1, folder / "d", quiet);
+  EXPECT_EQ(curves_csv(plain.curves), curves_csv(r.curves));
+  EXPECT_TRUE(plain.epochs.empty());
+  EXPECT_EQ(epochs_csv({{5, -1.5, 0.25, 0.5}}),
+            "step,objective,success,held_out\n5,-1.5,0.2500,0.5000\n");
+}
+
+TEST(Epochs, WithoutProgressTheAttackStops) {
+  // Nothing moves at this rate, so no epoch is better than the first.
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  AttackOptions o = epochs_of_five();
+  o.appearance_rate = o.vertex_rate = 1e-12;
+  o.patience = 3;
+  const AttackResult r = run_attack(ball_input(0), o, 1, folder / "c", quiet);
+  EXPECT_EQ(r.epochs.size(), 4U);
+  EXPECT_EQ(r.curves.size(), 20U);
+}
+
+/// A classifier that goes over to the other answer after a number of batches.
+class TurningClassifier : public testing::ColorClassifier {
+ public:
+  explicit TurningClassifier(int turn) : turn_(turn) {}
+  [[nodiscard]] Tensor logits(const Tensor& images) const override {
+    return ColorClassifier::logits(images) * (++calls_ > turn_ ? -1.0 : 1.0);
+  }
+
+ private:
+  int turn_;
+  mutable int calls_ = 0;
+};
+
+TEST(Epochs, AWorseEndGivesWayToTheBestState) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  AttackOptions o = epochs_of_five();
+  o.epoch = 10;
+  o.patience = 1;
+  o.final_rate = 1;  // steps do not depend on how many there will be
+  // Ten steps and two batches of held-out views an epoch: 24 calls later the truth turns, and what
+  // the next epoch scores is worse than before.
+  AttackInput input = ball_input(0);
+  input.surrogates = {std::make_shared<TurningClassifier>(24)};
+  const AttackResult r = run_attack(input, o, 1, folder / "c", quiet);
+  ASSERT_EQ(r.epochs.size(), 3U);
+  ASSERT_LT(r.epochs[2].held_out, r.epochs[1].held_out);
+  // What it gives is what it had after 20 steps.
+  o.steps = 20;
+  o.epoch = o.patience = 0;
+  const AttackResult at_best = run_attack(ball_input(0), o, 1, folder / "d", quiet);
+  EXPECT_TRUE(at::equal(r.mesh.vertices, at_best.mesh.vertices));
+  EXPECT_TRUE(at::equal(r.appearance->parameters()[0], at_best.appearance->parameters()[0]));
 }
 
 /// A classifier whose answers are not numbers from call `first` to call `last`.

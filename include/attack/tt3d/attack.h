@@ -62,6 +62,11 @@ struct AttackOptions {
   double momentum = 0;  ///< of past gradients in each step's direction, beside Adam's own; 0: none
   EotOptions eot;
   int64_t checkpoint_every = 50;
+  /// Steps an epoch. After each, the surrogates are asked about held-out views as an evaluation
+  /// would show them, and the state with the highest success is what the attack gives; 0: never.
+  int64_t epoch = 0;
+  int64_t held_out_views = 24;
+  int64_t patience = 0;  ///< stops after that many epochs without a higher success; 0: never
 };
 
 /// exponential; cosine: stays near the full rate first, and near the final one at the end.
@@ -108,10 +113,18 @@ struct AttackCurvePoint {
   double loss, objective, rgb, chamfer, laplacian, edge, success;
 };
 
+/// What an epoch came to.
+struct AttackEpoch {
+  int64_t step;               ///< steps so far
+  double objective, success;  ///< means over the epoch's steps
+  double held_out;            ///< success on the held-out views after it, a mean over surrogates
+};
+
 struct AttackResult {
   TriMesh mesh;                                  ///< V*, same faces
   std::shared_ptr<const Appearance> appearance;  ///< theta*
   std::vector<AttackCurvePoint> curves;
+  std::vector<AttackEpoch> epochs;  ///< empty without attack.epoch
 };
 
 /// Runs the attack; resumes from `checkpoint` if it exists, to the same bytes.
@@ -125,6 +138,8 @@ void save_attack(const AttackResult& result, const std::filesystem::path& path);
 [[nodiscard]] AttackResult load_attack(const std::filesystem::path& path);
 /// CSV of the curves, a row a step.
 [[nodiscard]] std::string curves_csv(const std::vector<AttackCurvePoint>& curves);
+/// CSV of the epochs, a row each.
+[[nodiscard]] std::string epochs_csv(const std::vector<AttackEpoch>& epochs);
 
 // ---- Objective ----------------------------------------------------------------------------
 
