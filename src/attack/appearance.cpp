@@ -34,6 +34,8 @@ std::vector<Tensor> Appearance::parameters() const {
   return all;
 }
 
+std::unique_ptr<Appearance> Appearance::worn_by(const TriMesh& /*other*/) const { return nullptr; }
+
 // ---- Grid and MLP -------------------------------------------------------------------------
 
 Tensor GridMlpAppearance::color(const SurfacePoints& points) const {

@@ -105,9 +105,8 @@ void save_epochs(const AttackState& s, NamedTensors& named) {
   }
   named.emplace_back("epochs", at::tensor(rows, at::kDouble).view({-1, kEpochColumns}));
   add_numbered(named, "best", s.best.tensors);
-  named.emplace_back(
-      "best_figures",
-      at::tensor({s.best.success, static_cast<double>(s.best.age)}, at::kDouble));
+  named.emplace_back("best_figures",
+                     at::tensor({s.best.success, static_cast<double>(s.best.age)}, at::kDouble));
 }
 
 void load_epochs(const TensorFile& file, AttackState& s) {

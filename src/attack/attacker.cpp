@@ -4,6 +4,7 @@
 #include <torch/csrc/autograd/autograd.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <utility>
@@ -58,9 +59,52 @@ Attacker::Attacker(const AttackInput& input, const AttackOptions& options, uint6
       views_(options.views_per_step),
       ensemble_(input, options, seed),
       naturalness_(input, options),
-      prepared_(input.mesh.faces) {}
+      prepared_(input.mesh.faces) {
+  if (!input.also.empty() && optimizes(options, "vertices")) {
+    throw InputError("attack.also: objects share their look alone; leave out vertices");
+  }
+  for (const AttackInput& other : input.also) {
+    also_.push_back(std::make_unique<Attacker>(other, options, seed));
+  }
+}
+
+void Attacker::halve_views() {
+  views_ /= 2;
+  for (const auto& other : also_) other->halve_views();
+}
+
+AttackState Attacker::wearing(const AttackState& s) const {
+  AttackState own;
+  own.offsets = at::zeros_like(input_.mesh.vertices);
+  own.appearance = s.appearance->worn_by(input_.mesh);
+  if (!own.appearance) {
+    throw InputError("attack.also: this look fits its own object alone; take a triplanar tile");
+  }
+  own.step = s.step;
+  return own;
+}
 
 AttackCurvePoint Attacker::compute(const AttackState& s, std::vector<Tensor>& grads) const {
+  AttackCurvePoint point = compute_own(s, grads);
+  if (also_.empty()) return point;
+  const double share = 1.0 / static_cast<double>(1 + also_.size());
+  const auto figures = [](AttackCurvePoint& p) {
+    return std::array{&p.loss, &p.objective, &p.rgb, &p.chamfer, &p.laplacian, &p.edge, &p.success};
+  };
+  for (double* figure : figures(point)) *figure *= share;
+  for (Tensor& g : grads) g = g * share;
+  for (const auto& other : also_) {
+    std::vector<Tensor> added;
+    AttackCurvePoint theirs = other->compute_own(other->wearing(s), added);
+    for (size_t i = 0; i < figures(point).size(); ++i) {
+      *figures(point)[i] += share * *figures(theirs)[i];
+    }
+    for (size_t i = 0; i < grads.size(); ++i) grads[i] = grads[i] + added[i] * share;
+  }
+  return point;
+}
+
+AttackCurvePoint Attacker::compute_own(const AttackState& s, std::vector<Tensor>& grads) const {
   const auto free = free_parameters(s, options_);
   std::vector<Tensor> parameters;
   parameters.reserve(free.size());
@@ -122,7 +166,9 @@ double Attacker::held_out_success(const AttackState& s) const {
     const Tensor on_white = shown.narrow(1, 0, 3) + (1 - shown.narrow(1, 3, 1));
     sum += ensemble_.success(on_white.clamp(0, 1).contiguous()) * static_cast<double>(count);
   }
-  return sum / static_cast<double>(options_.held_out_views);
+  double mean = sum / static_cast<double>(options_.held_out_views);
+  for (const auto& other : also_) mean += other->held_out_success(other->wearing(s));
+  return mean / static_cast<double>(1 + also_.size());
 }
 
 /// Renders the step's views: the colours and, where they are asked for, the clean colours and the

@@ -67,6 +67,14 @@ void restore_best(AttackState& s) {
 
 }  // namespace
 
+AttackResult worn_result(const AttackResult& result, const AttackInput& other) {
+  auto look = result.appearance->worn_by(other.mesh);
+  if (!look) {
+    throw InputError("attack.also: this look fits its own object alone; take a triplanar tile");
+  }
+  return {other.mesh, std::move(look), result.curves, result.epochs};
+}
+
 AttackResult run_attack(const AttackInput& input, const AttackOptions& options, uint64_t seed,
                         const std::filesystem::path& checkpoint, Progress& progress) {
   Attacker attacker(input, options, seed);

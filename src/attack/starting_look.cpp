@@ -58,6 +58,20 @@ std::unique_ptr<Appearance> unmasked_look(const AttackInput& input, const Attack
   return input.appearance->clone();
 }
 
+/// Faces whose colours may change, [F] bool; undefined: all. A drawn mask rules over a round patch.
+Tensor free_faces(const AttackInput& input, const AttackOptions& options) {
+  if (!options.sticker_mask.empty()) {
+    const Tensor inside = masked_faces(map_of(input), read_image(options.sticker_mask));
+    if (inside.any().item<bool>()) return inside;
+    throw InputError(options.sticker_mask,
+                     "is light nowhere on the surface; paint what may change "
+                     "white on a black copy of asset/clean.png");
+  }
+  if (options.sticker_area == 0) return {};
+  return sticker_faces(input.mesh, options.sticker_area, options.sticker_azimuth_deg,
+                       options.sticker_elevation_deg);
+}
+
 void check_parts(const AttackOptions& options, const Appearance& look) {
   std::vector<std::string> parts = {"vertices"};
   for (const ParameterGroup& g : look.groups()) parts.push_back(g.name);
@@ -77,19 +91,21 @@ const std::vector<std::string>& tile_mapping_names() {
   return names;
 }
 
+bool needs_grid_mlp(const AttackOptions& options) {
+  return optimizes(options, "grid") || optimizes(options, "mlp");
+}
+
 bool needs_texture_map(const AttackOptions& options) {
   const bool tiles = optimizes(options, "tile") && options.tile_mapping == "atlas";
-  return tiles || optimizes(options, "texture");
+  return tiles || optimizes(options, "texture") || !options.sticker_mask.empty();
 }
 
 std::unique_ptr<Appearance> starting_look(const AttackInput& input, const AttackOptions& options) {
   auto look = unmasked_look(input, options);
   check_parts(options, *look);
-  if (options.sticker_area == 0) return look;
-  return std::make_unique<MaskedAppearance>(
-      std::move(look), input.appearance,
-      sticker_faces(input.mesh, options.sticker_area, options.sticker_azimuth_deg,
-                    options.sticker_elevation_deg));
+  const Tensor inside = free_faces(input, options);
+  if (!inside.defined()) return look;
+  return std::make_unique<MaskedAppearance>(std::move(look), input.appearance, inside);
 }
 
 }  // namespace tt3d

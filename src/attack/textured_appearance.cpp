@@ -87,6 +87,11 @@ std::unique_ptr<Appearance> TriplanarAppearance::to(at::Device device) const {
                                                faces_.to(device), repeats_);
 }
 
+std::unique_ptr<Appearance> TriplanarAppearance::worn_by(const TriMesh& other) const {
+  return std::make_unique<TriplanarAppearance>(tile_, vertex_normals(other.vertices, other.faces),
+                                               other.faces, repeats_);
+}
+
 NamedTensors TriplanarAppearance::tensors() const {
   return {{kTile, tile_}, {kNormals, normals_}, {kRepeats, at::tensor({repeats_}, at::kDouble)}};
 }

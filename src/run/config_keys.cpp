@@ -13,6 +13,7 @@ Schema::Schema(RunConfig& c) {
 }
 
 void Schema::capture_keys(RunConfig& c) {
+  path("asset.path", c.asset, "textured mesh (GLB, OBJ) that is attacked in place of a capture");
   path("capture.path", c.capture.path, "folder of the photographs and their cameras");
   text("capture.format", c.capture.format, {"auto", "nerf-synthetic", "nerfstudio", "colmap"},
        "file format of the cameras");
@@ -90,6 +91,8 @@ void Schema::attack_keys(RunConfig& c) {
   text("attack.target", c.attack_target, {},
        "target class: index, WordNet id or name; an untargeted attack needs none");
   texts("attack.surrogates", c.attack_surrogates, {}, "models the attack may see");
+  texts("attack.also", c.attack_also, {},
+        "run folders of further objects that shall wear the same tile: a universal attack");
   text("attack.objective", a.objective, objective_names(), "loss on the surrogates' logits");
   integer("attack.texture_size", a.texture_size, 8, 8192, "texels", "side of part texture");
   integer("attack.tile_size", a.tile_size, 4, 4096, "texels", "side of part tile");
@@ -103,6 +106,10 @@ void Schema::attack_keys(RunConfig& c) {
          "side of the object that the patch sits on");
   number("attack.sticker_elevation_deg", a.sticker_elevation_deg, -90, 90, "degrees",
          "its height on the object");
+  path(
+      "attack.sticker_mask", a.sticker_mask,
+      "picture over the texture's charts, as asset/clean.png lies there: colours are free where it "
+      "is light; rules over the patch");
   text("attack.goal", a.goal, goal_names(), "towards the target, or away from the true class");
   text("attack.ensemble", a.ensemble, ensemble_names(), "what is averaged over the surrogates");
   number("attack.beta", a.beta, 0, 1e9, "", "strength of naturalness (paper: 1e3)");

@@ -15,9 +15,9 @@ using nlohmann::json;
 namespace {
 
 /// The frame's cameras in the input's coordinates.
-ViewFrame world_frame(const Capture& capture) {
-  ViewFrame frame = capture_view_frame(capture);
-  const Normalization& n = capture.normalization;
+ViewFrame world_frame(const Scene& scene) {
+  ViewFrame frame = scene.frame;
+  const Normalization& n = scene.normalization;
   for (int k = 0; k < 3; ++k) frame.centre[k] = frame.centre[k] / n.scale + n.centre[k];
   frame.radius /= n.scale;
   frame.distance /= n.scale;
@@ -58,6 +58,12 @@ double mesh_psnr(const RefinedMesh& r, const Capture& capture, Progress& progres
       progress);
 }
 
+json facts_json(const MeshFacts& facts) {
+  return {{"faces", facts.faces},           {"vertices", facts.vertices},
+          {"closed", facts.closed()},       {"non_manifold_edges", facts.non_manifold_edges},
+          {"components", facts.components}, {"euler", facts.euler}};
+}
+
 /// Beside the mesh that it belongs to.
 constexpr const char* kAtlas = "mesh/atlas.safetensors";
 
@@ -76,6 +82,37 @@ void add_texture_map(Atlas atlas, const AttackResult& clean, int64_t size, at::D
   atlas.width = atlas.height = static_cast<int>(size);
   input.map = TextureMap{atlas.uvs, atlas.uv_faces}.to(device);
   input.texels = bake_look(atlas, clean.mesh, *clean.appearance, device).to(device);
+}
+
+/// The asset as an attack takes it: normalised, and vertices that seams of the texture had split
+/// are one again, so that the surface does not tear where they move.
+AttackResult normalized_object(const TexturedMesh& asset, const Normalization& n) {
+  const Tensor centre = at::tensor({n.centre[0], n.centre[1], n.centre[2]}, at::kDouble);
+  const Tensor placed = ((asset.vertices.to(at::kDouble) - centre) * n.scale).to(at::kFloat);
+  const auto [vertices, number, count] = at::unique_dim(placed, 0, true, /*return_inverse=*/true);
+  const Tensor faces =
+      number.index_select(0, asset.faces.flatten().to(at::kLong)).view({-1, 3}).to(at::kInt);
+  // Welding may have left faces without an area.
+  const auto same = [&](int64_t i, int64_t k) { return faces.select(1, i) == faces.select(1, k); };
+  const Tensor kept = (~(same(0, 1) | same(1, 2) | same(2, 0))).nonzero().flatten();
+  TextureMap map = {asset.uvs, asset.uv_faces.index_select(0, kept)};
+  AttackResult object;
+  object.mesh = {vertices.contiguous(), faces.index_select(0, kept)};
+  object.appearance = std::make_shared<TextureAppearance>(asset.texture.to(at::kFloat) / 255,
+                                                          std::move(map), "texture");
+  return object;
+}
+
+Scene asset_scene(const TexturedMesh& asset, const fs::path& path) {
+  Scene scene;
+  scene.frame = asset_view_frame(asset, path);
+  const auto& c = scene.frame.centre;
+  const Tensor centre = at::tensor({c[0], c[1], c[2]}, at::kDouble);
+  const double radius = (asset.vertices.to(at::kDouble) - centre).norm(2, {1}).max().item<double>();
+  scene.normalization = {1 / radius, scene.frame.centre};
+  scene.frame = {
+      {0, 0, 0}, scene.frame.radius / radius, scene.frame.distance / radius, scene.frame.fov_y_deg};
+  return scene;
 }
 
 }  // namespace
@@ -105,6 +142,25 @@ Atlas Run::atlas(const TriMesh& mesh) const {
   save_tensors(path, {{"uvs", cut.uvs}, {"uv_faces", cut.uv_faces}, {"size", wanted}},
                {{"format", "tt3d atlas"}});
   return cut;
+}
+
+Scene Run::scene(Progress& progress) {
+  if (!config_.asset.empty()) return asset_scene(load_asset(config_.asset), config_.asset);
+  const Capture& photos = capture(progress);
+  return {capture_view_frame(photos), photos.normalization};
+}
+
+void Run::take_asset(Progress& /*progress*/) {
+  const fs::path folder = folder_ / "mesh";
+  const TexturedMesh asset = load_asset(config_.asset);
+  input_hashes_[fs::absolute(config_.asset).string()] = sha256_file(config_.asset);
+  const Normalization n = asset_scene(asset, config_.asset).normalization;
+  const AttackResult object = normalized_object(asset, n);
+  const MeshFacts facts = inspect(object.mesh);
+  save_attack(object, folder / "mesh.safetensors");
+  fs::remove(folder_ / kAtlas);  // of another mesh
+  write_ply(object.mesh, n, folder / "mesh.ply");
+  write_json(folder / "metrics.json", facts_json(facts));
 }
 
 void Run::run_field(Progress& progress) {
@@ -137,52 +193,74 @@ void Run::run_mesh(Progress& progress) {
   save_attack(as_result(refined), folder / "mesh.safetensors");
   fs::remove(folder_ / kAtlas);  // of another mesh
   write_ply(refined.mesh, photos.normalization, folder / "mesh.ply");
-  write_json(folder / "metrics.json", {{"psnr_test", psnr},
-                                       {"faces", facts.faces},
-                                       {"vertices", facts.vertices},
-                                       {"closed", facts.closed()},
-                                       {"non_manifold_edges", facts.non_manifold_edges},
-                                       {"components", facts.components},
-                                       {"euler", facts.euler}});
+  json metrics = facts_json(facts);
+  metrics["psnr_test"] = psnr;
+  write_json(folder / "metrics.json", metrics);
   fs::remove(checkpoint);
 }
 
-void Run::run_attack_stage(Progress& progress) {
-  const fs::path folder = folder_ / "attack";
+AttackInput Run::attack_input(Progress& progress) {
   const AttackResult clean = load_attack(folder_ / "mesh" / "mesh.safetensors");
-  const std::string wanted = class_of_objective(config_);
   AttackInput input;
   input.mesh = clean.mesh.to(device_);
   input.appearance = clean.appearance->to(device_);
-  input.frame = capture_view_frame(capture(progress));
+  input.frame = scene(progress).frame;
+  if (!config_.asset.empty() && needs_grid_mlp(config_.attack)) {
+    constexpr int64_t kSteps = 300;
+    input.appearance = fit_grid_mlp(*input.appearance, input.mesh, config_.field.shape,
+                                    config_.seed, kSteps, progress);
+  }
+  if (needs_texture_map(config_.attack)) {
+    add_texture_map(atlas(clean.mesh), clean, config_.attack.texture_size, device_, input);
+  }
+  return input;
+}
+
+void Run::save_attack_files(const AttackResult& result) const {
+  const fs::path folder = folder_ / "attack";
+  save_attack(result, folder / "attack.safetensors");
+  write_file_atomic(folder / "curves.csv", curves_csv(result.curves));
+  if (!result.epochs.empty()) write_file_atomic(folder / "epochs.csv", epochs_csv(result.epochs));
+}
+
+void Run::run_attack_stage(Progress& progress) {
+  const std::string wanted = class_of_objective(config_);
+  AttackInput input = attack_input(progress);
   for (const std::string& name : config_.attack_surrogates) {
     const auto model = Classifier::load(name, {}, &progress);
     input.classes.push_back(find_class(wanted, model->card()).index);
     input_hashes_[model->card().name + ".pt2"] = model->card().sha256;
     input.surrogates.push_back(model);
   }
-  if (needs_texture_map(config_.attack)) {
-    add_texture_map(atlas(clean.mesh), clean, config_.attack.texture_size, device_, input);
+  std::vector<Run> others;
+  for (const std::string& name : config_.attack_also) {
+    others.push_back(Run::open(name));
+    if (!others.back().done("mesh"))
+      throw InputError(name, "has no mesh yet; 'tt3d mesh' makes it");
+    others.back().use_device(device_);
+    input.also.push_back(others.back().attack_input(progress));
+    input.also.back().surrogates = input.surrogates;
+    input.also.back().classes = input.classes;
   }
-  const fs::path checkpoint = folder / "checkpoint.safetensors";
+  const fs::path checkpoint = folder_ / "attack" / "checkpoint.safetensors";
   const AttackResult result = run_attack(input, config_.attack, config_.seed, checkpoint, progress);
-  save_attack(result, folder / "attack.safetensors");
-  write_file_atomic(folder / "curves.csv", curves_csv(result.curves));
-  if (!result.epochs.empty())
-    write_file_atomic(folder / "epochs.csv", epochs_csv(result.epochs));
+  save_attack_files(result);
+  for (size_t i = 0; i < others.size(); ++i) {
+    others[i].adopt_attack(*this, worn_result(result, input.also[i]));
+  }
   fs::remove(checkpoint);
 }
 
 void Run::run_bake(Progress& progress) {
   const fs::path folder = folder_ / "asset";
-  const Capture& photos = capture(progress);
-  const Normalization& n = photos.normalization;
+  const Scene placed = scene(progress);
+  const Normalization& n = placed.normalization;
   const AttackResult clean = load_attack(folder_ / "mesh" / "mesh.safetensors");
   const AttackResult adversarial = load_attack(folder_ / "attack" / "attack.safetensors");
   progress.begin("bake", 3, 0);
   const Atlas map = atlas(clean.mesh);
   progress.update(1, {});
-  write_view_frame(world_frame(photos), folder);
+  write_view_frame(world_frame(placed), folder);
   int64_t done = 1;
   for (const auto& [name, result] :
        {std::pair{"clean", &clean}, std::pair{"adversarial", &adversarial}}) {
@@ -199,6 +277,8 @@ void Run::run_bake(Progress& progress) {
     progress.update(++done, {});
   }
   progress.end();
+  if (!config_.asset.empty()) return;  // without photographs to compare with
+  const Capture& photos = capture(progress);
   const AssetRenderer renderer(load_asset(folder / "clean.glb"), device_);
   const double psnr = mean_psnr(
       photos.test,
@@ -295,6 +375,9 @@ std::vector<ReportView> report_views(const fs::path& run, const json& record, in
 }  // namespace
 
 void Run::run_report(Progress& progress) {
+  if (!config_.asset.empty()) {
+    throw InputError(folder_, "begins with an asset, a report needs a capture; read eval/ instead");
+  }
   progress.begin("report", 1, 0);
   ReportInput input;
   input.record_json = read_file(folder_ / "eval" / "builtin.json");

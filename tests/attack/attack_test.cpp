@@ -197,6 +197,81 @@ TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
   }
 }
 
+// ---- Several objects ----------------------------------------------------------------------
+
+/// The toy ball stretched along an axis.
+AttackInput stretched_ball(int64_t target, int64_t axis, double by) {
+  AttackInput input = ball_input(target);
+  Tensor scale = at::ones({3});
+  scale[axis] = by;
+  input.mesh.vertices = input.mesh.vertices * scale;
+  return input;
+}
+
+/// Success of a look on an object, by an attack that cannot move.
+double success_of(const std::shared_ptr<const Appearance>& look, AttackInput input) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  input.appearance = look;
+  input.also.clear();
+  AttackOptions o = toy_options();
+  o.optimize = {"vertices"};
+  o.vertex_rate = 1e-12;
+  o.steps = 10;
+  return late_success(run_attack(input, o, 3, folder / "c", quiet));
+}
+
+TEST(Universal, OneTileImprovesEveryObject) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  AttackInput input = ball_input(0);
+  input.also = {stretched_ball(0, 0, 0.5), stretched_ball(0, 2, 1.3)};
+  AttackOptions o = toy_options(attack_preset("triplanar"));
+  const AttackResult r = run_attack(input, o, 1, folder / "c", quiet);
+  EXPECT_GE(late_success(r), 0.9);
+  for (const AttackInput& other : input.also) {
+    const AttackResult worn = worn_result(r, other);
+    EXPECT_TRUE(at::equal(worn.mesh.vertices, other.mesh.vertices));
+    EXPECT_TRUE(at::equal(worn.appearance->parameters()[0], r.appearance->parameters()[0]));
+    const double before = success_of(starting_look(other, o), other);
+    EXPECT_GE(success_of(worn.appearance, other), std::max(0.9, before + 0.1));
+  }
+}
+
+TEST(Universal, GradientsAreTheMeanOverTheObjects) {
+  AttackInput one = ball_input(0), two = stretched_ball(0, 0, 0.5), both = one;
+  both.also = {two};
+  AttackOptions o = toy_options(attack_preset("triplanar"));
+  std::vector<Tensor> grads[3];
+  AttackCurvePoint points[3];
+  AttackInput* inputs[3] = {&one, &two, &both};
+  // One tile for all three, as the tiles they start with differ by their objects' mean colour.
+  const Tensor tile = at::full({o.tile_size, o.tile_size, 3}, 0.4);
+  for (int i = 0; i < 3; ++i) {
+    const Attacker attacker(*inputs[i], o, 1);
+    const AttackState s = attacker.fresh();
+    at::NoGradGuard guard;
+    s.appearance->parameters()[0].copy_(tile);
+    at::AutoGradMode on(true);
+    points[i] = attacker.compute(s, grads[i]);
+  }
+  EXPECT_TRUE(at::allclose(grads[2][0], (grads[0][0] + grads[1][0]) / 2, 1e-5, 1e-7));
+  EXPECT_NEAR(points[2].objective, (points[0].objective + points[1].objective) / 2, 1e-9);
+}
+
+TEST(Universal, LooksOfOneObjectAndShapesAreInputErrors) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  AttackInput input = ball_input(0);
+  input.also = {stretched_ball(0, 0, 0.5)};
+  for (const char* preset : {"dual", "dual-texture-only", "texture"}) {
+    const AttackOptions o = toy_options(attack_preset(preset));
+    EXPECT_THROW((void)run_attack(input, o, 1, folder / "c", quiet), InputError) << preset;
+  }
+}
+
+// ---- Epochs -------------------------------------------------------------------------------
+
 /// The toy attack in epochs.
 AttackOptions epochs_of_five() {
   AttackOptions o = toy_options();

@@ -131,5 +131,39 @@ TEST(Shaded, ALightFromAboveLightensWhatLooksUp) {
   }
 }
 
+TEST(Surface, PointsLieEvenlyOnIt) {
+  // A square beside a triangle of a quarter of its area.
+  TriMesh mesh;
+  mesh.vertices = at::tensor({0.F, 0.F, 0.F, 1.F, 0.F, 0.F, 1.F, 1.F,  0.F, 0.F, 1.F, 0.F,  //
+                              2.F, 0.F, 0.F, 3.F, 0.F, 0.F, 2.F, 0.5F, 0.F})
+                      .view({7, 3});
+  mesh.faces = at::tensor({0, 1, 2, 0, 2, 3, 4, 5, 6}, at::kInt).view({3, 3});
+  const SurfacePoints points = sample_surface(mesh, 4000, Random(1, "test", 0));
+  const Tensor x = points.positions.select(1, 0), y = points.positions.select(1, 1);
+  EXPECT_NEAR((x > 1.5).to(at::kDouble).mean().item<double>(), 0.2, 0.025);
+  const Tensor square = (x < 1.5).nonzero().flatten();
+  for (const Tensor& axis : {x, y}) {
+    const Tensor on_square = axis.index_select(0, square).to(at::kDouble);
+    EXPECT_NEAR(on_square.mean().item<double>(), 0.5, 0.02);
+    EXPECT_NEAR(on_square.var().item<double>(), 1.0 / 12, 0.005);
+  }
+  // Triangle and weights name the same place.
+  const Tensor again = interpolate(mesh.vertices, points.rast.view({1, 1, -1, 4}), mesh.faces);
+  EXPECT_TRUE(at::allclose(again.view({-1, 3}), points.positions, 0, 1e-6));
+}
+
+TEST(GridMlp, IsFittedToAnotherLook) {
+  Progress quiet;
+  const AttackInput ball = testing::ball_input(0);
+  const VertexColorAppearance look((ball.mesh.vertices / 1.4 + 0.5).contiguous(), ball.mesh.faces);
+  FieldShape shape;
+  shape.appearance = {6, 8, 64, 12, 2};
+  const auto fitted = fit_grid_mlp(look, ball.mesh, shape, 1, 150, quiet);
+  const SurfacePoints points = sample_surface(ball.mesh, 1000, Random(2, "test", 0));
+  at::NoGradGuard guard;
+  const Tensor error = fitted->color(points) - look.color(points);
+  EXPECT_LT(error.square().mean().item<double>(), 1e-4);  // 40 dB
+}
+
 }  // namespace
 }  // namespace tt3d

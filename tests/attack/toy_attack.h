@@ -18,7 +18,7 @@ class ColorClassifier : public Classifier {
                            const std::vector<std::string>& labels = {"red", "green", "blue"})
       : gain_(gain) {
     card_.name = "colors";
-    card_.height = card_.width = 32;
+    card_.height = card_.width = card_.resize = 32;
     card_.labels = labels;
   }
   [[nodiscard]] const ModelCard& card() const override { return card_; }

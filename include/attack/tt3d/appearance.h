@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "tt3d/core.h"
 #include "tt3d/field.h"
 #include "tt3d/mesh.h"
 #include "tt3d/raster.h"
@@ -37,6 +38,8 @@ class Appearance {
   [[nodiscard]] virtual std::unique_ptr<Appearance> clone() const = 0;
   /// The same on a device, without gradient; shares memory where it is there already.
   [[nodiscard]] virtual std::unique_ptr<Appearance> to(at::Device device) const = 0;
+  /// The same parameters on another object; null for a look that belongs to its own.
+  [[nodiscard]] virtual std::unique_ptr<Appearance> worn_by(const TriMesh& other) const;
   /// What read_appearance makes it of, by name.
   [[nodiscard]] virtual std::vector<std::pair<std::string, at::Tensor>> tensors() const = 0;
 
@@ -91,7 +94,7 @@ struct TextureMap {
 /// CVPR 2022. One group, "texture" or "tile".
 class TextureAppearance final : public Appearance {
  public:
-  /// texels [S,S,3] sRGB in [0,1].
+  /// texels [H,W,3] sRGB in [0,1].
   TextureAppearance(at::Tensor texels, TextureMap map, std::string part)
       : texels_(std::move(texels)), map_(std::move(map)), part_(std::move(part)) {}
   [[nodiscard]] at::Tensor color(const SurfacePoints& points) const override;
@@ -123,6 +126,7 @@ class TriplanarAppearance final : public Appearance {
   void constrain() const override;
   [[nodiscard]] std::unique_ptr<Appearance> clone() const override;
   [[nodiscard]] std::unique_ptr<Appearance> to(at::Device device) const override;
+  [[nodiscard]] std::unique_ptr<Appearance> worn_by(const TriMesh& other) const override;
   [[nodiscard]] std::vector<std::pair<std::string, at::Tensor>> tensors() const override;
 
  private:
@@ -179,6 +183,17 @@ class MaskedAppearance final : public Appearance {
   std::shared_ptr<const Appearance> outside_;
   at::Tensor mask_;
 };
+
+/// A field's appearance with the colours that `look` has on a mesh: what the dual attack starts
+/// from on an object that never was a field. Colours are compared at random points of the surface,
+/// evenly spread, a fresh 2^14 a step.
+[[nodiscard]] std::unique_ptr<GridMlpAppearance> fit_grid_mlp(const Appearance& look,
+                                                              const TriMesh& mesh,
+                                                              const FieldShape& shape,
+                                                              uint64_t seed, int64_t steps,
+                                                              Progress& progress);
+/// Random points of a mesh, evenly spread over its surface; keyed by (seed, stream, step).
+[[nodiscard]] SurfacePoints sample_surface(const TriMesh& mesh, int64_t count, Random random);
 
 /// The appearance that a file's tensors hold; faces [F,3] int32 of its mesh. Throws InputError.
 [[nodiscard]] std::unique_ptr<Appearance> read_appearance(const TensorFile& file,

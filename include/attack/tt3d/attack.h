@@ -32,17 +32,18 @@ struct AttackOptions {
   double tile_repeats = 4;             ///< tiles along the side of the atlas or of the object's box
   double sticker_area = 0;  ///< share of the surface where colours are free: a round patch; 0: all
   double sticker_azimuth_deg = 0, sticker_elevation_deg = 0;  ///< the side that it sits on
-  std::string objective = "cross-entropy";                    ///< one of objective_names
-  std::string goal = "targeted";      ///< targeted; untargeted: away from the class
-  std::string ensemble = "losses";    ///< how several surrogates combine: ensemble_names
-  double beta = 1000;                 ///< strength of naturalness
-  double rgb_weight = 1;              ///< l1
-  std::string color_space = "rgb";    ///< where R_rgb measures: one of color_space_names
-  double chamfer_weight = 3000;       ///< l2
-  double laplacian_weight = 1e-3;     ///< l3
-  double edge_weight = 1e-2;          ///< l4
-  std::string laplacian = "uniform";  ///< weights of R_lap: one of laplacian_names
-  double psnr_floor = 0;              ///< dB; below 0 disables: R_rgb counts only beyond this error
+  std::filesystem::path sticker_mask;       ///< picture over the atlas, free where it is light
+  std::string objective = "cross-entropy";  ///< one of objective_names
+  std::string goal = "targeted";            ///< targeted; untargeted: away from the class
+  std::string ensemble = "losses";          ///< how several surrogates combine: ensemble_names
+  double beta = 1000;                       ///< strength of naturalness
+  double rgb_weight = 1;                    ///< l1
+  std::string color_space = "rgb";          ///< where R_rgb measures: one of color_space_names
+  double chamfer_weight = 3000;             ///< l2
+  double laplacian_weight = 1e-3;           ///< l3
+  double edge_weight = 1e-2;                ///< l4
+  std::string laplacian = "uniform";        ///< weights of R_lap: one of laplacian_names
+  double psnr_floor = 0;  ///< dB; below 0 disables: R_rgb counts only beyond this error
   double ssim_floor = 0;  ///< SSIM to the clean pictures; what is missing to it counts; 0: nothing
   double ssim_weight = 0.05;       ///< weight of what is missing
   double displacement_weight = 0;  ///< of the squared difference of neighbours' offsets (MeshAdv)
@@ -89,6 +90,8 @@ struct AttackPreset {
 /// Throws InputError for an unknown name.
 [[nodiscard]] const AttackPreset& attack_preset(const std::string& name);
 
+/// True if the attack changes a field's grid or MLP.
+[[nodiscard]] bool needs_grid_mlp(const AttackOptions& options);
 /// True if the attack needs AttackInput::map.
 [[nodiscard]] bool needs_texture_map(const AttackOptions& options);
 
@@ -105,6 +108,9 @@ struct AttackInput {
   /// The class that the objective is about in each surrogate's labels: the target or, untargeted,
   /// the true class.
   std::vector<int64_t> classes;
+  /// Objects that wear the same look, in a universal attack: their meshes, clean looks and frames
+  /// count, and the mean over all objects is what is optimised.
+  std::vector<AttackInput> also;
 };
 
 /// One row of the log.
@@ -126,6 +132,10 @@ struct AttackResult {
   std::vector<AttackCurvePoint> curves;
   std::vector<AttackEpoch> epochs;  ///< empty without attack.epoch
 };
+
+/// What the attack's look makes of another of its objects, whose shape stays. Throws InputError for
+/// a look that fits its own object alone.
+[[nodiscard]] AttackResult worn_result(const AttackResult& result, const AttackInput& other);
 
 /// Runs the attack; resumes from `checkpoint` if it exists, to the same bytes.
 /// Throws NumericError when it diverges for good.
