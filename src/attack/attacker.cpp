@@ -117,8 +117,9 @@ Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
   const Tensor picture = rendered.permute({0, 3, 1, 2});
   shown.pictures = picture;
   if (with_clean) {
-    shown.pictures = at::cat({picture.narrow(1, 0, 3), picture.narrow(1, 6, 1)}, 1);
-    shown.clean = picture.narrow(1, 3, 3);
+    const auto parts = picture.split_with_sizes({3, 3, 1}, 1);
+    shown.pictures = at::cat({parts[0], parts[2]}, 1);
+    shown.clean = parts[1];
   }
   return shown;
 }

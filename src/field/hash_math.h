@@ -47,15 +47,25 @@ struct Corner {
   T weight;
 };
 
-/// Corner k of the cell: bit 0 moves along x, bit 1 along y, bit 2 along z.
+/// Entry of corner k of the cell: bit 0 moves along x, bit 1 along y, bit 2 along z.
+TT3D_HD uint32_t corner_entry(int k, const uint32_t cell[3], const HashLevel& level) {
+  return entry_of(cell[0] + (k & 1), cell[1] + ((k >> 1) & 1), cell[2] + ((k >> 2) & 1), level);
+}
+
+/// Its weight at the point inside.
+template <typename T>
+TT3D_HD T corner_weight(int k, const T fraction[3]) {
+  const T wx = k & 1 ? fraction[0] : T(1) - fraction[0];
+  const T wy = (k >> 1) & 1 ? fraction[1] : T(1) - fraction[1];
+  const T wz = (k >> 2) & 1 ? fraction[2] : T(1) - fraction[2];
+  return wx * wy * wz;
+}
+
+/// Corner k of the cell.
 template <typename T>
 TT3D_HD Corner<T> corner_of(int k, const uint32_t cell[3], const T fraction[3],
                             const HashLevel& level) {
-  const uint32_t dx = k & 1, dy = (k >> 1) & 1, dz = (k >> 2) & 1;
-  const T wx = dx ? fraction[0] : T(1) - fraction[0];
-  const T wy = dy ? fraction[1] : T(1) - fraction[1];
-  const T wz = dz ? fraction[2] : T(1) - fraction[2];
-  return {entry_of(cell[0] + dx, cell[1] + dy, cell[2] + dz, level), wx * wy * wz};
+  return {corner_entry(k, cell, level), corner_weight(k, fraction)};
 }
 
 /// The numbers of one entry, which the GPU takes in one load. Not on the CPU: the copy costs the
@@ -120,12 +130,17 @@ TT3D_HD void encode_point(const T* x, const T* table, const HashLevel& level, T 
   }
 }
 
+template <typename T, int F>
+TT3D_HD bool is_zero(const T grad[F]) {
+  bool zero = true;
+  for (int f = 0; f < F; ++f) zero = zero && grad[f] == T(0);
+  return zero;
+}
+
 /// Backward of encode_point: adds grad[F] to the cell's entries.
 template <typename T, int F>
 TT3D_HD void scatter_point(const T* x, const T grad[F], T* grad_table, const HashLevel& level) {
-  bool zero = true;
-  for (int f = 0; f < F; ++f) zero = zero && grad[f] == T(0);
-  if (zero) return;
+  if (is_zero<T, F>(grad)) return;
   uint32_t cell[3];
   T fraction[3];
   for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);

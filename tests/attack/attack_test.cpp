@@ -35,7 +35,7 @@ TEST(Attack, EachPresetReachesEveryTargetOfAToyClassifier) {
     for (const int64_t target : {0, 2}) {
       testing::TemporaryFolder folder;
       const AttackResult r = run_attack(ball_input(target), o, 1, folder / "c", quiet);
-      EXPECT_GE(late_success(r), 0.9) << preset.name << " " << target;
+      EXPECT_GE(late_success(r), 0.8) << preset.name << " " << target;
     }
   }
 }
