@@ -19,11 +19,12 @@ struct Placement {
   int64_t size;           ///< of the picture, both ways
 };
 
-/// The four pixels around a place and their weights; 0 for those outside.
+/// The four pixels around a place, from the top left one, and their weights.
 template <typename T>
 struct Taps {
-  int64_t pixel[4];
+  int64_t row, column;
   T weight[4];
+  bool whole;  ///< all four lie in the rendering
 };
 
 /// floor, without the call that it is on old processors.
@@ -36,21 +37,34 @@ TT3D_HD T lower(T x) {
 template <typename T>
 TT3D_HD Taps<T> taps_of(const Placement<T>& p, int64_t n, int64_t row, int64_t column) {
   const T* m = p.map + 6 * n;
-  const T x = (2 * static_cast<T>(column) + 1) / static_cast<T>(p.size) - 1;
-  const T y = (2 * static_cast<T>(row) + 1) / static_cast<T>(p.size) - 1;
+  const T step = 2 / static_cast<T>(p.size);
+  const T x = (static_cast<T>(column) + T(0.5)) * step - 1;
+  const T y = (static_cast<T>(row) + T(0.5)) * step - 1;
   const T u = ((m[0] * x + m[1] * y + m[2] + 1) * static_cast<T>(p.width) - 1) / 2;
   const T v = ((m[3] * x + m[4] * y + m[5] + 1) * static_cast<T>(p.height) - 1) / 2;
-  const T left = lower(u), top = lower(v);
+  const T left = lower(u), top = lower(v), right = u - left, down = v - top;
   Taps<T> taps;
-  for (int k = 0; k < 4; ++k) {
-    const T tx = left + static_cast<T>(k & 1), ty = top + static_cast<T>(k >> 1);
-    const bool inside =
-        tx >= 0 && ty >= 0 && tx < static_cast<T>(p.width) && ty < static_cast<T>(p.height);
-    const T weight = (1 - std::abs(u - tx)) * (1 - std::abs(v - ty));
-    taps.weight[k] = inside ? weight : T(0);
-    taps.pixel[k] = inside ? static_cast<int64_t>(ty) * p.width + static_cast<int64_t>(tx) : 0;
-  }
+  taps.weight[0] = (1 - right) * (1 - down);
+  taps.weight[1] = right * (1 - down);
+  taps.weight[2] = (1 - right) * down;
+  taps.weight[3] = right * down;
+  taps.row = static_cast<int64_t>(top);
+  taps.column = static_cast<int64_t>(left);
+  taps.whole = left >= 0 && top >= 0 && left + 1 < static_cast<T>(p.width) &&
+               top + 1 < static_cast<T>(p.height);
   return taps;
+}
+
+/// Calls visit(pixel, weight) for the taps inside the rendering.
+template <typename T, typename Visit>
+TT3D_HD void visit_taps(const Placement<T>& p, const Taps<T>& taps, const Visit& visit) {
+  const int64_t first = taps.row * p.width + taps.column;
+  for (int k = 0; k < 4; ++k) {
+    const int64_t right = k & 1, down = k >> 1;
+    const int64_t row = taps.row + down, column = taps.column + right;
+    if (!taps.whole && (row < 0 || column < 0 || row >= p.height || column >= p.width)) continue;
+    visit(first + down * p.width + right, taps.weight[k]);
+  }
 }
 
 /// A pixel of pictures [N,3,size,size] from renderings [N,height,width,4], premultiplied.
@@ -64,10 +78,9 @@ struct PlacePixel {
     const Taps<T> taps = taps_of(p, n, row, column);
     const T* image = images + n * p.height * p.width * 4;
     T sum[4] = {};
-    for (int k = 0; k < 4; ++k) {
-      const T* from = image + 4 * taps.pixel[k];
-      for (int c = 0; c < 4; ++c) sum[c] += taps.weight[k] * from[c];
-    }
+    visit_taps(p, taps, [&](int64_t pixel, T weight) {
+      for (int c = 0; c < 4; ++c) sum[c] += weight * image[4 * pixel + c];
+    });
     const int64_t behind = p.side == 1 ? 0 : at, step = p.side * p.side;
     for (int c = 0; c < 3; ++c) {
       out[(n * 3 + c) * plane + at] =
@@ -92,10 +105,9 @@ struct PlaceBackwardPixel {
     }
     const Taps<T> taps = taps_of(p, n, row, column);
     T* image = grad_images + n * p.height * p.width * 4;
-    for (int k = 0; k < 4; ++k) {
-      T* to = image + 4 * taps.pixel[k];
-      for (int c = 0; c < 4; ++c) accumulate(to + c, taps.weight[k] * grad[c]);
-    }
+    visit_taps(p, taps, [&](int64_t pixel, T weight) {
+      for (int c = 0; c < 4; ++c) accumulate(image + 4 * pixel + c, weight * grad[c]);
+    });
   }
 };
 
