@@ -13,8 +13,8 @@ namespace {
 
 /// What the commands of this file were given.
 struct Arguments {
-  std::string config, capture, run, target, true_class, method, sticker_area;
-  std::vector<std::string> sets, surrogates;
+  std::string config, capture, run, asset, target, true_class, method, sticker_area, sticker_mask;
+  std::vector<std::string> sets, surrogates, also;
   bool restart = false;
 };
 
@@ -91,7 +91,22 @@ std::string toml_list(const std::vector<std::string>& words) {
   return json(words).dump();  // a JSON list of strings is a TOML one
 }
 
-void attack(const Arguments& a, const Common& common) {
+/// Begins the run of an asset, unless the folder holds it already.
+void begin_with_asset(Arguments& a, const Common& common, const CLI::App& command) {
+  if (a.run.empty()) a.run = fs::path("runs") / fs::path(a.asset).stem();
+  if (fs::exists(fs::path(a.run) / "run.json")) {
+    if (Run::open(a.run).config().asset == fs::absolute(a.asset)) return;
+    throw InputError(a.run, "holds the run of another object; choose another folder");
+  }
+  RunConfig config;
+  config.asset = fs::absolute(a.asset);
+  apply_seed(config, common, command);
+  const Run run(a.run, config, false);
+}
+
+void attack(Arguments a, const Common& common, const CLI::App& command) {
+  if (!a.asset.empty()) begin_with_asset(a, common, command);
+  if (a.run.empty()) throw InputError("attack: expected a run folder, or --asset FILE");
   std::vector<std::string> assignments = {"attack.surrogates=" + toml_list(a.surrogates)};
   const auto assign = [&](const std::string& key, const std::string& word) {
     if (!word.empty()) assignments.push_back(key + "=" + json(word).dump());
@@ -100,6 +115,12 @@ void attack(const Arguments& a, const Common& common) {
   assign("evaluate.true_class", a.true_class);
   assign("attack.method", a.method);
   if (!a.sticker_area.empty()) assignments.push_back("attack.sticker_area=" + a.sticker_area);
+  if (!a.sticker_mask.empty()) assign("attack.sticker_mask", fs::absolute(a.sticker_mask));
+  if (!a.also.empty()) {
+    std::vector<std::string> folders;
+    for (const std::string& run : a.also) folders.push_back(fs::absolute(run));
+    assignments.push_back("attack.also=" + toml_list(folders));
+  }
   const Run run = continue_run(a, common, assignments, "attack");
   std::cout << (run.folder() / "attack" / "attack.safetensors").string() << "\n";
 }
@@ -149,12 +170,18 @@ void add_run_commands(CLI::App& app, Common& common) {
                                "metrics.json");
       });
   CLI::App* command = stage_command(app, common, *a, "attack", "mesh to an adversarial mesh");
+  command->get_option("RUN")->required(false);
+  command->add_option("--asset", a->asset,
+                      "textured mesh (GLB, OBJ) in place of a capture; RUN is then made");
+  command->add_option("--also", a->also, "further runs whose objects shall wear the same tile");
   command->add_option("--target", a->target, "class: index, WordNet id or name");
   command->add_option("--true-class", a->true_class, "class of the object, for untargeted attacks");
   command->add_option("--surrogate", a->surrogates, "models the attack may see")->required();
   command->add_option("--method", a->method, "preset; --list describes them");
   command->add_option("--sticker-area", a->sticker_area,
                       "share of the surface where colours are free");
+  command->add_option("--sticker-mask", a->sticker_mask,
+                      "picture over asset/clean.png's charts, light where colours are free");
   command->add_flag_callback(
       "--list",
       [&common] {
@@ -162,7 +189,7 @@ void add_run_commands(CLI::App& app, Common& common) {
         throw CLI::Success();
       },
       "describe the methods and stop");
-  command->callback([a, &common] { attack(*a, common); });
+  command->callback([a, &common, command] { attack(*a, common, *command); });
   stage_command(app, common, *a, "bake", "textured files of the clean and the adversarial object")
       ->callback([a, &common] {
         std::cout << (continue_run(*a, common, {}, "bake").folder() / "asset").string() << "\n";

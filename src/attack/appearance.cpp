@@ -2,7 +2,7 @@
 
 #include <ATen/ATen.h>
 
-#include <string_view>
+#include "looks.h"
 
 namespace tt3d {
 namespace {
@@ -12,8 +12,7 @@ using NamedTensors = std::vector<std::pair<std::string, Tensor>>;
 
 constexpr const char* kVertexColors = "vertex_colors";
 constexpr const char* kMask = "mask";
-constexpr std::string_view kOutside =
-    "outside.";  // before the names of what the mask leaves as it is
+constexpr const char* kOutside = "outside.";  // before the names of what the mask leaves as it is
 
 /// Each vertex as a surface point, on the first of its triangles.
 SurfacePoints vertex_points(const TriMesh& mesh) {
@@ -34,6 +33,8 @@ std::vector<Tensor> Appearance::parameters() const {
     all.insert(all.end(), g.tensors.begin(), g.tensors.end());
   return all;
 }
+
+std::unique_ptr<Appearance> Appearance::worn_by(const TriMesh& /*other*/) const { return nullptr; }
 
 // ---- Grid and MLP -------------------------------------------------------------------------
 
@@ -131,15 +132,29 @@ std::unique_ptr<Appearance> MaskedAppearance::to(at::Device device) const {
 NamedTensors MaskedAppearance::tensors() const {
   NamedTensors named = inside_->tensors();
   named.emplace_back(kMask, mask_.to(at::kByte));
-  for (const auto& [name, tensor] : outside_->tensors()) {
-    named.emplace_back(std::string(kOutside) + name, tensor);
-  }
+  append_prefixed(named, kOutside, *outside_);
   return named;
+}
+
+// ---- Files --------------------------------------------------------------------------------
+
+void append_prefixed(NamedTensors& named, const std::string& prefix, const Appearance& look) {
+  for (const auto& [name, tensor] : look.tensors()) named.emplace_back(prefix + name, tensor);
+}
+
+TensorFile without_prefix(const TensorFile& file, const std::string& prefix) {
+  TensorFile rest = {file.path, {}, {}};
+  for (const auto& [name, tensor] : file.tensors) {
+    if (name.starts_with(prefix)) rest.tensors[name.substr(prefix.size())] = tensor;
+  }
+  return rest;
 }
 
 namespace {
 
 std::unique_ptr<Appearance> read_unmasked(const TensorFile& file, const Tensor& faces) {
+  if (auto look = read_textured(file, faces)) return look;
+  if (auto look = read_shaded(file, faces)) return look;
   if (!file.tensors.contains(kVertexColors)) return read_grid_mlp(file);
   return std::make_unique<VertexColorAppearance>(file.get(kVertexColors, {-1, 3}, at::kFloat),
                                                  faces);
@@ -150,12 +165,8 @@ std::unique_ptr<Appearance> read_unmasked(const TensorFile& file, const Tensor& 
 std::unique_ptr<Appearance> read_appearance(const TensorFile& file, const Tensor& faces) {
   auto inside = read_unmasked(file, faces);
   if (!file.tensors.contains(kMask)) return inside;
-  TensorFile rest = {file.path, {}, {}};
-  for (const auto& [name, tensor] : file.tensors) {
-    if (name.starts_with(kOutside)) rest.tensors[name.substr(kOutside.size())] = tensor;
-  }
   return std::make_unique<MaskedAppearance>(
-      std::move(inside), read_unmasked(rest, faces),
+      std::move(inside), read_unmasked(without_prefix(file, kOutside), faces),
       file.get(kMask, {faces.size(0)}, at::kByte).to(at::kBool));
 }
 

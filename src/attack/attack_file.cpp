@@ -16,6 +16,17 @@ std::string curves_csv(const std::vector<AttackCurvePoint>& curves) {
   return text;
 }
 
+std::string epochs_csv(const std::vector<AttackEpoch>& epochs) {
+  std::string text = "step,objective,success,held_out\n";
+  char line[128];
+  for (const AttackEpoch& e : epochs) {
+    std::snprintf(line, sizeof line, "%lld,%.6g,%.4f,%.4f\n", static_cast<long long>(e.step),
+                  e.objective, e.success, e.held_out);
+    text += line;
+  }
+  return text;
+}
+
 void save_attack(const AttackResult& r, const std::filesystem::path& path) {
   std::vector<std::pair<std::string, at::Tensor>> tensors = {
       {"vertices", r.mesh.vertices}, {"faces", r.mesh.faces}, {"curves", curves_tensor(r.curves)}};

@@ -5,8 +5,6 @@
 #include <algorithm>
 #include <utility>
 
-#include "sticker.h"
-
 namespace tt3d {
 namespace {
 
@@ -14,31 +12,6 @@ using at::Tensor;
 
 constexpr int64_t kCurveColumns = 8;
 constexpr const char* kVertices = "vertices";
-
-/// The parameterisation whose parts are optimised, with the clean object's colours.
-std::unique_ptr<Appearance> starting_appearance(const AttackInput& input,
-                                                const AttackOptions& options) {
-  auto look = optimizes(options, "vertex-colors")
-                  ? VertexColorAppearance::sample(*input.appearance, input.mesh)
-                  : input.appearance->clone();
-  if (options.sticker_area == 0) return look;
-  return std::make_unique<MaskedAppearance>(
-      std::move(look), input.appearance,
-      sticker_faces(input.mesh, options.sticker_area, options.sticker_azimuth_deg,
-                    options.sticker_elevation_deg));
-}
-
-void check_parts(const AttackOptions& options, const Appearance& appearance) {
-  std::vector<std::string> parts = {kVertices};
-  for (const ParameterGroup& g : appearance.groups()) parts.push_back(g.name);
-  if (options.optimize.empty()) throw InputError("attack.optimize: name at least one part");
-  for (const std::string& part : options.optimize) {
-    if (std::find(parts.begin(), parts.end(), part) != parts.end()) continue;
-    std::string has;
-    for (const std::string& p : parts) has += (has.empty() ? "" : ", ") + p;
-    throw InputError("attack.optimize: '" + part + "' does not go together with this look: " + has);
-  }
-}
 
 }  // namespace
 
@@ -48,7 +21,9 @@ bool optimizes(const AttackOptions& options, const std::string& part) {
 }
 
 const std::vector<std::string>& attack_parts() {
-  static const std::vector<std::string> parts = {"grid", "mlp", "vertex-colors", kVertices};
+  static const std::vector<std::string> parts = {"grid",    "mlp",    "vertex-colors",
+                                                 "texture", "tile",   "material",
+                                                 "normals", "lights", kVertices};
   return parts;
 }
 
@@ -65,8 +40,7 @@ std::vector<FreeParameter> free_parameters(const AttackState& s, const AttackOpt
 AttackState fresh_state(const AttackInput& input, const AttackOptions& options) {
   AttackState s;
   s.offsets = at::zeros_like(input.mesh.vertices);
-  s.appearance = starting_appearance(input, options);
-  check_parts(options, *s.appearance);
+  s.appearance = starting_look(input, options);
   for (const FreeParameter& p : free_parameters(s, options)) {
     s.moment1.push_back(at::zeros_like(p.tensor));
     s.moment2.push_back(at::zeros_like(p.tensor));
@@ -98,21 +72,70 @@ std::vector<AttackCurvePoint> curves_from(const TensorFile& file) {
   return curves;
 }
 
+std::vector<Tensor> object_tensors(const AttackState& s) {
+  std::vector<Tensor> all = {s.offsets};
+  for (const Tensor& t : s.appearance->parameters()) all.push_back(t);
+  return all;
+}
+
+namespace {
+
+using NamedTensors = std::vector<std::pair<std::string, Tensor>>;
+
+std::string numbered(const std::string& name, size_t i) { return name + "." + std::to_string(i); }
+
+void add_numbered(NamedTensors& named, const std::string& name, const std::vector<Tensor>& all) {
+  for (size_t i = 0; i < all.size(); ++i) named.emplace_back(numbered(name, i), all[i]);
+}
+
+/// Reads into tensors that have their shapes already.
+void copy_numbered(const TensorFile& file, const std::string& name,
+                   const std::vector<Tensor>& all) {
+  for (size_t i = 0; i < all.size(); ++i) {
+    all[i].copy_(file.get(numbered(name, i), all[i].sizes(), at::kFloat));
+  }
+}
+
+constexpr int64_t kEpochColumns = 4;
+
+void save_epochs(const AttackState& s, NamedTensors& named) {
+  std::vector<double> rows;
+  for (const AttackEpoch& e : s.epochs) {
+    rows.insert(rows.end(), {static_cast<double>(e.step), e.objective, e.success, e.held_out});
+  }
+  named.emplace_back("epochs", at::tensor(rows, at::kDouble).view({-1, kEpochColumns}));
+  add_numbered(named, "best", s.best.tensors);
+  named.emplace_back("best_figures",
+                     at::tensor({s.best.success, static_cast<double>(s.best.age)}, at::kDouble));
+}
+
+void load_epochs(const TensorFile& file, AttackState& s) {
+  const Tensor rows = file.get("epochs", {-1, kEpochColumns}, at::kDouble);
+  const auto* p = rows.const_data_ptr<double>();
+  s.epochs.clear();
+  for (int64_t i = 0; i < rows.size(0); ++i, p += kEpochColumns) {
+    s.epochs.push_back({static_cast<int64_t>(p[0]), p[1], p[2], p[3]});
+  }
+  s.best.tensors.clear();
+  for (const Tensor& t : object_tensors(s)) s.best.tensors.push_back(at::empty_like(t.detach()));
+  copy_numbered(file, "best", s.best.tensors);
+  const Tensor figures = file.get("best_figures", {2}, at::kDouble);
+  s.best.success = figures[0].item<double>();
+  s.best.age = figures[1].item<int64_t>();
+}
+
+}  // namespace
+
 void save_state(const AttackState& s, const std::filesystem::path& path) {
-  std::vector<std::pair<std::string, Tensor>> tensors = {{"offsets", s.offsets}};
-  const auto all = s.appearance->parameters();
-  for (size_t i = 0; i < all.size(); ++i)
-    tensors.emplace_back("appearance." + std::to_string(i), all[i]);
-  for (size_t i = 0; i < s.moment1.size(); ++i) {
-    tensors.emplace_back("moment1." + std::to_string(i), s.moment1[i]);
-    tensors.emplace_back("moment2." + std::to_string(i), s.moment2[i]);
-  }
-  for (size_t i = 0; i < s.velocity.size(); ++i) {
-    tensors.emplace_back("velocity." + std::to_string(i), s.velocity[i]);
-  }
+  NamedTensors tensors = {{"offsets", s.offsets}};
+  add_numbered(tensors, "appearance", s.appearance->parameters());
+  add_numbered(tensors, "moment1", s.moment1);
+  add_numbered(tensors, "moment2", s.moment2);
+  add_numbered(tensors, "velocity", s.velocity);
   tensors.emplace_back("curves", curves_tensor(s.curves));
   tensors.emplace_back("counters", at::tensor({s.step, int64_t{s.recovery.rollbacks}}, at::kLong));
   tensors.emplace_back("rate_scale", at::tensor({s.recovery.rate_scale}, at::kDouble));
+  if (!s.epochs.empty()) save_epochs(s, tensors);
   save_tensors(path, tensors, {{"format", "tt3d attack state"}});
 }
 
@@ -120,24 +143,16 @@ void load_state(const std::filesystem::path& path, AttackState& s) {
   const TensorFile file = load_tensors(path);
   at::NoGradGuard guard;
   s.offsets.copy_(file.get("offsets", s.offsets.sizes(), at::kFloat));
-  const auto all = s.appearance->parameters();
-  for (size_t i = 0; i < all.size(); ++i) {
-    all[i].copy_(file.get("appearance." + std::to_string(i), all[i].sizes(), at::kFloat));
-  }
-  for (size_t i = 0; i < s.moment1.size(); ++i) {
-    const std::string n = std::to_string(i);
-    s.moment1[i].copy_(file.get("moment1." + n, s.moment1[i].sizes(), at::kFloat));
-    s.moment2[i].copy_(file.get("moment2." + n, s.moment2[i].sizes(), at::kFloat));
-  }
-  for (size_t i = 0; i < s.velocity.size(); ++i) {
-    s.velocity[i].copy_(
-        file.get("velocity." + std::to_string(i), s.velocity[i].sizes(), at::kFloat));
-  }
+  copy_numbered(file, "appearance", s.appearance->parameters());
+  copy_numbered(file, "moment1", s.moment1);
+  copy_numbered(file, "moment2", s.moment2);
+  copy_numbered(file, "velocity", s.velocity);
   s.curves = curves_from(file);
   const Tensor counters = file.get("counters", {2}, at::kLong);
   s.step = counters[0].item<int64_t>();
   s.recovery.rollbacks = counters[1].item<int>();
   s.recovery.rate_scale = file.get("rate_scale", {1}, at::kDouble).item<double>();
+  if (file.tensors.contains("epochs")) load_epochs(file, s);
 }
 
 }  // namespace tt3d

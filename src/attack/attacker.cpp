@@ -3,9 +3,14 @@
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/autograd.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <utility>
+
+#include "color_space.h"
+#include "looks.h"
 
 namespace tt3d {
 namespace {
@@ -54,9 +59,52 @@ Attacker::Attacker(const AttackInput& input, const AttackOptions& options, uint6
       views_(options.views_per_step),
       ensemble_(input, options, seed),
       naturalness_(input, options),
-      prepared_(input.mesh.faces) {}
+      prepared_(input.mesh.faces) {
+  if (!input.also.empty() && optimizes(options, "vertices")) {
+    throw InputError("attack.also: objects share their look alone; leave out vertices");
+  }
+  for (const AttackInput& other : input.also) {
+    also_.push_back(std::make_unique<Attacker>(other, options, seed));
+  }
+}
+
+void Attacker::halve_views() {
+  views_ /= 2;
+  for (const auto& other : also_) other->halve_views();
+}
+
+AttackState Attacker::wearing(const AttackState& s) const {
+  AttackState own;
+  own.offsets = at::zeros_like(input_.mesh.vertices);
+  own.appearance = s.appearance->worn_by(input_.mesh);
+  if (!own.appearance) {
+    throw InputError("attack.also: this look fits its own object alone; take a triplanar tile");
+  }
+  own.step = s.step;
+  return own;
+}
 
 AttackCurvePoint Attacker::compute(const AttackState& s, std::vector<Tensor>& grads) const {
+  AttackCurvePoint point = compute_own(s, grads);
+  if (also_.empty()) return point;
+  const double share = 1.0 / static_cast<double>(1 + also_.size());
+  const auto figures = [](AttackCurvePoint& p) {
+    return std::array{&p.loss, &p.objective, &p.rgb, &p.chamfer, &p.laplacian, &p.edge, &p.success};
+  };
+  for (double* figure : figures(point)) *figure *= share;
+  for (Tensor& g : grads) g = g * share;
+  for (const auto& other : also_) {
+    std::vector<Tensor> added;
+    AttackCurvePoint theirs = other->compute_own(other->wearing(s), added);
+    for (size_t i = 0; i < figures(point).size(); ++i) {
+      *figures(point)[i] += share * *figures(theirs)[i];
+    }
+    for (size_t i = 0; i < grads.size(); ++i) grads[i] = grads[i] + added[i] * share;
+  }
+  return point;
+}
+
+AttackCurvePoint Attacker::compute_own(const AttackState& s, std::vector<Tensor>& grads) const {
   const auto free = free_parameters(s, options_);
   std::vector<Tensor> parameters;
   parameters.reserve(free.size());
@@ -64,7 +112,8 @@ AttackCurvePoint Attacker::compute(const AttackState& s, std::vector<Tensor>& gr
   const Tensor vertices = input_.mesh.vertices + s.offsets;
   const Rendering shown = render(s, vertices);
   std::vector<Tensor> hits;
-  const Tensor objective = ensemble_.loss(shown.pictures, s.step, hits);
+  const Tensor lit = light_pictures(shown.pictures, shown.normals, options_.eot, seed_, s.step);
+  const Tensor objective = ensemble_.loss(lit, s.step, hits);
   const Naturalness::Terms natural = naturalness_.terms(shown, vertices);
   const Tensor loss = objective + options_.beta * natural.total;
   grads = torch::autograd::grad({loss}, parameters);
@@ -97,10 +146,36 @@ std::vector<Camera> Attacker::cameras(int64_t step) const {
   return shift_object(std::move(sampled), input_.frame.radius, options_.eot, seed_, step);
 }
 
-/// Renders the step's views.
+double Attacker::held_out_success(const AttackState& s) const {
+  constexpr uint64_t kHeldOut = 0x0E90C4ULL;  // a seed of its own: neither training nor evaluation
+  at::NoGradGuard guard;
+  const Tensor vertices = input_.mesh.vertices + s.offsets;
+  const auto size = static_cast<int>(options_.image_size);
+  double sum = 0;
+  for (int64_t first = 0; first < options_.held_out_views; first += views_) {
+    const int64_t count = std::min(views_, options_.held_out_views - first);
+    std::vector<Camera> cameras;
+    for (const SampledView& v : sample_views(options_.view_distribution, seed_ ^ kHeldOut, first,
+                                             count, size, input_.frame)) {
+      cameras.push_back(v.camera);
+    }
+    const Tensor shown =
+        render_mesh(vertices, input_.mesh.vertices, prepared_, cameras,
+                    [&](const SurfacePoints& points) { return s.appearance->color(points); })
+            .permute({0, 3, 1, 2});
+    const Tensor on_white = shown.narrow(1, 0, 3) + (1 - shown.narrow(1, 3, 1));
+    sum += ensemble_.success(on_white.clamp(0, 1).contiguous()) * static_cast<double>(count);
+  }
+  double mean = sum / static_cast<double>(options_.held_out_views);
+  for (const auto& other : also_) mean += other->held_out_success(other->wearing(s));
+  return mean / static_cast<double>(1 + also_.size());
+}
+
+/// Renders the step's views: the colours and, where they are asked for, the clean colours and the
+/// normals, as channels of one picture.
 Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
   const auto pixels = static_cast<double>(3 * views_ * options_.image_size * options_.image_size);
-  const bool with_clean = naturalness_.compares_pictures();
+  const bool with_clean = naturalness_.compares_pictures(), with_normals = options_.eot.light > 0;
   Rendering shown;
   // The appearance sticks to the surface: points are looked up where they rest.
   const Tensor rendered = render_mesh(
@@ -111,15 +186,23 @@ Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
           at::NoGradGuard guard;
           clean = input_.appearance->color({points.positions.detach(), points.rast.detach()});
         }
-        shown.rgb = (shown.colors - clean).square().sum() / pixels;
-        return with_clean ? at::cat({shown.colors, clean}) : shown.colors;
+        shown.rgb = color_distance(options_.color_space, shown.colors, clean) / pixels;
+        std::vector<Tensor> channels = {shown.colors};
+        if (with_clean) channels.push_back(clean);
+        if (with_normals) {
+          channels.push_back(
+              at_points(vertex_normals(vertices, prepared_.faces), points, prepared_.faces));
+        }
+        return channels.size() == 1 ? shown.colors : at::cat(channels);
       });
   const Tensor picture = rendered.permute({0, 3, 1, 2});
   shown.pictures = picture;
-  if (with_clean) {
-    const auto parts = picture.split_with_sizes({3, 3, 1}, 1);
-    shown.pictures = at::cat({parts[0], parts[2]}, 1);
-    shown.clean = parts[1];
+  if (picture.size(1) > 4) {
+    const std::vector<int64_t> sizes = {3, with_clean ? 3 : 0, with_normals ? 3 : 0, 1};
+    const auto parts = picture.split_with_sizes(sizes, 1);
+    shown.pictures = at::cat({parts[0], parts[3]}, 1);
+    if (with_clean) shown.clean = parts[1];
+    if (with_normals) shown.normals = parts[2];
   }
   return shown;
 }

@@ -2,6 +2,7 @@
 
 #include <ATen/core/Tensor.h>
 
+#include <memory>
 #include <vector>
 
 #include "attack_state.h"
@@ -21,15 +22,22 @@ class Attacker {
 
   /// Views a step; fewer after halve_views.
   [[nodiscard]] int64_t views() const { return views_; }
-  void halve_views() { views_ /= 2; }
+  void halve_views();
 
   [[nodiscard]] AttackState fresh() const { return fresh_state(input_, options_); }
-  /// Loss and gradients of a step, one a free parameter; the curve point has its parts.
+  /// Loss and gradients of a step, one a free parameter; the curve point has its parts. In a
+  /// universal attack, means over the objects.
   AttackCurvePoint compute(const AttackState& state, std::vector<at::Tensor>& grads) const;
+  /// Success on held-out views on white, as each surrogate's users would show them: what evaluation
+  /// measures, by views of another stream.
+  [[nodiscard]] double held_out_success(const AttackState& state) const;
   /// Moves the free parameters along the gradients.
   void apply(const std::vector<at::Tensor>& grads, AttackState& state) const;
 
  private:
+  AttackCurvePoint compute_own(const AttackState& state, std::vector<at::Tensor>& grads) const;
+  /// The state of this object in the other one's attack: its look, and the shape as it is.
+  [[nodiscard]] AttackState wearing(const AttackState& state) const;
   [[nodiscard]] std::vector<Camera> cameras(int64_t step) const;
   [[nodiscard]] Rendering render(const AttackState& state, const at::Tensor& vertices) const;
 
@@ -40,6 +48,7 @@ class Attacker {
   Ensemble ensemble_;
   Naturalness naturalness_;
   RenderMesh prepared_;
+  std::vector<std::unique_ptr<Attacker>> also_;
 };
 
 }  // namespace tt3d

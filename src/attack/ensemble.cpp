@@ -81,9 +81,23 @@ Tensor Ensemble::logits(size_t model, const Tensor& pictures, int64_t draw,
   const Tensor seen = transform_images(pictures, surrogate.card().height, options_.eot, seed_, draw,
                                        photographs_ ? &*photographs_ : nullptr);
   const Tensor answer = surrogate.logits(seen);
-  const Tensor taken = answer.detach().argmax(1) == input_.classes[model];
-  hits.push_back((options_.goal == "untargeted" ? ~taken : taken).to(at::kDouble).mean());
+  hits.push_back(won(model, answer));
   return answer;
+}
+
+Tensor Ensemble::won(size_t model, const Tensor& logits) const {
+  const Tensor taken = logits.detach().argmax(1) == input_.classes[model];
+  return (options_.goal == "untargeted" ? ~taken : taken).to(at::kDouble).mean();
+}
+
+double Ensemble::success(const Tensor& pictures) const {
+  at::NoGradGuard guard;
+  double sum = 0;
+  for (size_t m = 0; m < input_.surrogates.size(); ++m) {
+    const Classifier& model = *input_.surrogates[m];
+    sum += won(m, model.logits(preprocess(pictures, model.card()))).item<double>();
+  }
+  return sum / static_cast<double>(input_.surrogates.size());
 }
 
 Tensor Ensemble::objective(const Tensor& logits, size_t model) const {

@@ -20,7 +20,12 @@ class Ensemble {
   [[nodiscard]] at::Tensor loss(const at::Tensor& pictures, int64_t step,
                                 std::vector<at::Tensor>& hits) const;
 
+  /// Mean over surrogates of the share of pictures [N,3,h,w], as they are preprocessed by their
+  /// users, for which the attack has its way.
+  [[nodiscard]] double success(const at::Tensor& pictures) const;
+
  private:
+  [[nodiscard]] at::Tensor won(size_t model, const at::Tensor& logits) const;
   [[nodiscard]] at::Tensor logits(size_t model, const at::Tensor& pictures, int64_t draw,
                                   std::vector<at::Tensor>& hits) const;
   [[nodiscard]] at::Tensor objective(const at::Tensor& logits, size_t model) const;

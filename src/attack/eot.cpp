@@ -7,6 +7,7 @@
 
 #include "picture_ops.h"
 #include "tt3d/eot.h"
+#include "tt3d/lighting.h"
 #include "tt3d/random_tensor.h"
 
 namespace tt3d {
@@ -155,6 +156,28 @@ std::vector<Camera> shift_object(std::vector<Camera> cameras, double radius, con
     }
   }
   return cameras;
+}
+
+Tensor light_pictures(const Tensor& images, const Tensor& normals, const EotOptions& o,
+                      uint64_t seed, int64_t step) {
+  if (o.light <= 0) return images;
+  Random random = stream_of("light", seed, step);
+  std::vector<float> directions, shares;
+  for (int64_t i = 0; i < images.size(0); ++i) {
+    const double z = random.uniform(-1, 1), turn = random.uniform(0, 2 * std::numbers::pi);
+    const double flat = std::sqrt(1 - z * z);
+    for (const double x : {flat * std::cos(turn), flat * std::sin(turn), z}) {
+      directions.push_back(static_cast<float>(x));
+    }
+    shares.push_back(static_cast<float>(random.uniform(0, o.light)));
+  }
+  const Tensor towards = at::tensor(directions).view({-1, 3, 1, 1}).to(images.device());
+  const Tensor length = (normals.square().sum(1, true) + 1e-12).sqrt();
+  const Tensor cosine = (normals * towards).sum(1, true) / length;
+  const Tensor share = column(shares, images);
+  // The lobe's mean over the sphere is 1/4.
+  const Tensor factor = (1 - share + share * 4 * lobe(cosine)).clamp_min(0);
+  return at::cat({images.narrow(1, 0, 3) * factor, images.narrow(1, 3, 1)}, 1);
 }
 
 Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o, uint64_t seed,

@@ -66,6 +66,21 @@ Tensor non_printability(const Tensor& colors, const Tensor& printable) {
   return ((colors.t() - nearest).square().sum(1) + kSmooth * kSmooth).sqrt().mean();
 }
 
+Tensor process_ink_mixes() {
+  // The inks' usual sRGB values; a real printer's differ, so its own list is better.
+  constexpr double kInks[3][3] = {{0, 0.68, 0.94}, {0.93, 0, 0.55}, {1, 0.95, 0}};
+  std::vector<float> mixes;
+  for (int mix = 0; mix < 27; ++mix) {
+    const double coverage[3] = {(mix % 3) / 2.0, (mix / 3 % 3) / 2.0, (mix / 9) / 2.0};
+    for (int k = 0; k < 3; ++k) {
+      double value = 1;
+      for (int ink = 0; ink < 3; ++ink) value *= 1 - coverage[ink] * (1 - kInks[ink][k]);
+      mixes.push_back(static_cast<float>(value));
+    }
+  }
+  return at::tensor(mixes).view({-1, 3});
+}
+
 Tensor load_printer_colors(const std::filesystem::path& path) {
   std::istringstream in(read_file(path));
   std::vector<float> values;
@@ -96,10 +111,9 @@ Naturalness::Naturalness(const AttackInput& input, const AttackOptions& options)
   at::NoGradGuard guard;
   rest_edge_ = regularizer_.edge_length(rest_).item<double>();
   if (options.printability_weight > 0) {
-    if (options.printer_colors.empty()) {
-      throw InputError("attack.printer_colors: expected a file, as printability_weight is not 0");
-    }
-    printable_ = load_printer_colors(options.printer_colors).to(rest_.device());
+    printable_ = (options.printer_colors.empty() ? process_ink_mixes()
+                                                 : load_printer_colors(options.printer_colors))
+                     .to(rest_.device());
   }
 }
 

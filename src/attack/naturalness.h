@@ -12,7 +12,8 @@ namespace tt3d {
 struct Rendering {
   at::Tensor pictures;  ///< [N,4,H,W], premultiplied
   at::Tensor clean;  ///< [N,3,H,W], the clean colours on the same shape; undefined unless asked for
-  at::Tensor colors;  ///< [3,P] colours of the visible surface points
+  at::Tensor normals;  ///< [N,3,H,W], likewise
+  at::Tensor colors;   ///< [3,P] colours of the visible surface points
   /// R_rgb: their squared distance to the clean ones, summed over colours and averaged over the
   /// pictures' pixels as a mean squared error (paper, section 3.4).
   at::Tensor rgb;
@@ -55,6 +56,10 @@ class Naturalness {
 /// a list of dozens; the nearest one is what Thys et al., "Fooling automated surveillance cameras",
 /// CVPR workshop 2019, made of it.
 [[nodiscard]] at::Tensor non_printability(const at::Tensor& colors, const at::Tensor& printable);
+
+/// Mixes of cyan, magenta and yellow ink at none, half and full coverage, by multiplication:
+/// [27,3]. What printability is measured against without a printer's own list.
+[[nodiscard]] at::Tensor process_ink_mixes();
 
 /// A printer's colours [K,3] float32 sRGB in [0,1]: a text file with three numbers a line, parted
 /// by commas or spaces; '#' begins a comment. Throws InputError with file and line.

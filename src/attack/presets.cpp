@@ -57,6 +57,49 @@ void sticker(AttackOptions& o) {
   o.psnr_floor = o.ssim_floor = 0;
 }
 
+/// A texture with nothing to hold it back: what results are compared with.
+void plain_texture(AttackOptions& o) {
+  o.optimize = {"texture"};
+  o.objective = "cross-entropy";
+  o.appearance_rate = 0.03;
+  o.rgb_weight = 0;
+  o.psnr_floor = o.ssim_floor = 0;
+}
+
+/// Equation 2 of the paper: the expected distance in LAB, weighed against the likelihood. The
+/// weight is ours.
+void advturtle(AttackOptions& o) {
+  plain_texture(o);
+  o.color_space = "lab";
+  o.rgb_weight = 1;
+  o.beta = 100;
+}
+
+/// Light, material and normals of a shaded surface; their L2 bound is our floor on PSNR.
+void physical(AttackOptions& o) {
+  o.optimize = {"material", "normals", "lights"};
+  o.objective = "cross-entropy";
+}
+
+/// The whole body's texture under smoothness and printability. The weights are ours.
+void full_coverage(AttackOptions& o) {
+  plain_texture(o);
+  o.variation_weight = 1e-3;
+  o.printability_weight = 1e-3;
+}
+
+/// One tile paints the whole surface.
+void repeated(AttackOptions& o) {
+  plain_texture(o);
+  o.optimize = {"tile"};
+}
+
+void triplanar(AttackOptions& o) {
+  repeated(o);
+  o.tile_mapping = "triplanar";
+  o.variation_weight = 1e-3;  // their smoothness
+}
+
 /// The pieces that help transfer in the literature, at its values; give it several surrogates.
 void strong(AttackOptions& o) {
   o.objective = "logit";
@@ -98,6 +141,18 @@ const std::vector<AttackPreset>& attack_presets() {
        "after Oslund et al., Multiview robust adversarial stickers, 2022", sticker},
       {"strong", "as dual, with what keeps it from overfitting to its surrogates",
        "ours, of Dong et al. 2018, Xie et al. 2019, Zhao et al. 2021", strong},
+      {"texture", "a texture without limits; the plain attack that others are compared with",
+       "after Athalye et al., Synthesizing robust adversarial examples, ICML 2018", plain_texture},
+      {"advturtle", "a texture near to the clean one in L*a*b*",
+       "Athalye et al., Synthesizing robust adversarial examples, ICML 2018", advturtle},
+      {"physical", "material, normals and lights of the shaded object",
+       "after Zeng et al., Adversarial attacks beyond the image space, CVPR 2019", physical},
+      {"full-coverage", "a texture over the whole body, smooth and printable",
+       "after Wang et al., FCA, AAAI 2022", full_coverage},
+      {"repeated", "one tile repeated over the surface", "after Suryanto et al., DTA, CVPR 2022",
+       repeated},
+      {"triplanar", "one tile along the three axes, for one object or several",
+       "after Suryanto et al., ACTIVE, ICCV 2023", triplanar},
       {"meshadv-shape", "vertices alone, their displacement kept smooth", kMeshAdv, meshadv_shape},
       {"meshadv-texture", "vertex colours alone, their change kept smooth", kMeshAdv,
        meshadv_texture},

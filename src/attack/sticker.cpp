@@ -81,4 +81,21 @@ Tensor sticker_faces(const TriMesh& mesh, double area, double azimuth_deg, doubl
   return chosen.to(mesh.faces.device());
 }
 
+Tensor masked_faces(const TextureMap& map, const Tensor& mask) {
+  const Tensor picture = mask.cpu().to(at::kFloat);
+  const Tensor light =
+      (picture.narrow(2, 0, 3).mean(2) >= 128).logical_and(picture.select(2, 3) >= 128);
+  const Tensor corners = map.uv_faces.cpu().flatten().to(at::kLong);
+  const Tensor middle = map.uvs.cpu().index_select(0, corners).view({-1, 3, 2}).mean(1);
+  const auto texel = [&](int64_t axis, int64_t size) {
+    return (middle.select(1, axis) * static_cast<double>(size))
+        .floor()
+        .to(at::kLong)
+        .clamp(0, size - 1);
+  };
+  const int64_t height = light.size(0), width = light.size(1);
+  const Tensor place = texel(1, height) * width + texel(0, width);
+  return light.flatten().index_select(0, place).to(map.uvs.device());
+}
+
 }  // namespace tt3d

@@ -23,6 +23,16 @@ Tensor clip_matrices(const std::vector<Camera>& cameras, double extent) {
   return matrices;
 }
 
+Tensor vertex_normals(const Tensor& vertices, const Tensor& faces) {
+  const Tensor corners = faces.to(at::kLong);
+  const auto corner = [&](int64_t k) { return vertices.index_select(0, corners.select(1, k)); };
+  const Tensor a = corner(0);
+  const Tensor across = at::cross(corner(1) - a, corner(2) - a, 1);  // twice the area long
+  Tensor sum = at::zeros_like(vertices);
+  for (int64_t k = 0; k < 3; ++k) sum = sum.index_add(0, corners.select(1, k), across);
+  return sum / (sum.square().sum(1, true) + 1e-30).sqrt();
+}
+
 Tensor to_clip(const Tensor& vertices, const Tensor& matrices) {
   const Tensor homogeneous =
       at::cat({vertices, at::ones({vertices.size(0), 1}, vertices.options())}, 1);

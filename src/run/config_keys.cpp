@@ -13,6 +13,7 @@ Schema::Schema(RunConfig& c) {
 }
 
 void Schema::capture_keys(RunConfig& c) {
+  path("asset.path", c.asset, "textured mesh (GLB, OBJ) that is attacked in place of a capture");
   path("capture.path", c.capture.path, "folder of the photographs and their cameras");
   text("capture.format", c.capture.format, {"auto", "nerf-synthetic", "nerfstudio", "colmap"},
        "file format of the cameras");
@@ -90,17 +91,31 @@ void Schema::attack_keys(RunConfig& c) {
   text("attack.target", c.attack_target, {},
        "target class: index, WordNet id or name; an untargeted attack needs none");
   texts("attack.surrogates", c.attack_surrogates, {}, "models the attack may see");
+  texts("attack.also", c.attack_also, {},
+        "run folders of further objects that shall wear the same tile: a universal attack");
   text("attack.objective", a.objective, objective_names(), "loss on the surrogates' logits");
+  integer("attack.texture_size", a.texture_size, 8, 8192, "texels", "side of part texture");
+  integer("attack.tile_size", a.tile_size, 4, 4096, "texels", "side of part tile");
+  text("attack.tile_mapping", a.tile_mapping, tile_mapping_names(),
+       "how the tile covers the surface: over the texture's charts, or along the three axes");
+  number("attack.tile_repeats", a.tile_repeats, 0.1, 100, "",
+         "tiles along the side of the atlas or of the object's box");
   number("attack.sticker_area", a.sticker_area, 0, 1, "",
          "share of the surface where colours are free, a round patch; 0: all of it");
   number("attack.sticker_azimuth_deg", a.sticker_azimuth_deg, -360, 360, "degrees",
          "side of the object that the patch sits on");
   number("attack.sticker_elevation_deg", a.sticker_elevation_deg, -90, 90, "degrees",
          "its height on the object");
+  path(
+      "attack.sticker_mask", a.sticker_mask,
+      "picture over the texture's charts, as asset/clean.png lies there: colours are free where it "
+      "is light; rules over the patch");
   text("attack.goal", a.goal, goal_names(), "towards the target, or away from the true class");
   text("attack.ensemble", a.ensemble, ensemble_names(), "what is averaged over the surrogates");
   number("attack.beta", a.beta, 0, 1e9, "", "strength of naturalness (paper: 1e3)");
   number("attack.rgb_weight", a.rgb_weight, 0, 1e9, "", "l1, weight of R_rgb");
+  text("attack.color_space", a.color_space, color_space_names(),
+       "where R_rgb measures: sRGB, or CIE L*a*b* in hundreds");
   number("attack.chamfer_weight", a.chamfer_weight, 0, 1e9, "", "l2, weight of R_cd");
   number("attack.laplacian_weight", a.laplacian_weight, 0, 1e9, "", "l3, weight of R_lap");
   number("attack.edge_weight", a.edge_weight, 0, 1e9, "", "l4, weight of R_edge");
@@ -117,7 +132,8 @@ void Schema::attack_keys(RunConfig& c) {
   number("attack.printability_weight", a.printability_weight, 0, 1e9, "",
          "weight of the distance to printable colours");
   path("attack.printer_colors", a.printer_colors,
-       "file of the printable colours, three numbers from 0 to 1 a line");
+       "file of the printable colours, three numbers from 0 to 1 a line; empty: mixes of process "
+       "inks");
   number("attack.max_displacement", a.max_displacement, 0, 1, "object box / 2",
          "no vertex moves further; 0: no bound");
   integer("attack.steps", a.steps, 1, 1e7, "", "optimisation steps");
@@ -131,6 +147,11 @@ void Schema::attack_keys(RunConfig& c) {
   text("attack.schedule", a.schedule, schedule_names(), "the rates' way there");
   number("attack.momentum", a.momentum, 0, 1, "",
          "share of past gradients in each direction, beside Adam's; 0: none");
+  integer("attack.epoch", a.epoch, 0, 1e7, "steps",
+          "steps after which held-out views are scored and the best state is kept; 0: never");
+  integer("attack.held_out_views", a.held_out_views, 1, 1e5, "", "views that are scored");
+  integer("attack.patience", a.patience, 0, 1e6, "epochs",
+          "stops after that many without a higher success; 0: never");
   integer("attack.checkpoint_every", a.checkpoint_every, 1, 1e7, "steps",
           "steps between checkpoints");
 }
@@ -139,6 +160,8 @@ void Schema::eot_keys(RunConfig& c) {
   EotOptions& e = c.attack.eot;
   number("attack.eot.object_shift", e.object_shift, 0, 1, "object radii",
          "shift of the object along each axis, each way; 0 switches it off, as in all below");
+  number("attack.eot.light", e.light, 0, 0.75, "",
+         "largest share of the light that comes from one random direction");
   number("attack.eot.scale_low", e.scale_low, 0.05, 4, "",
          "smallest size of the picture in the frame");
   number("attack.eot.scale_high", e.scale_high, 0.05, 4, "",

@@ -177,7 +177,8 @@ void Run::reconfigure(const std::vector<std::string>& assignments, const std::st
 
 void Run::run_until(const std::string& last, Progress& progress) {
   for (const std::string& name : stage_names()) {
-    if (!done(name)) {
+    const bool needless = name == "field" && !config_.asset.empty();
+    if (!done(name) && !needless) {
       progress.check();
       const double start = now_seconds();
       reset_peak_memory();
@@ -192,8 +193,10 @@ void Run::run_until(const std::string& last, Progress& progress) {
 void Run::run_stage(const std::string& name, Progress& progress) {
   if (name == "field")
     run_field(progress);
-  else if (name == "mesh")
+  else if (name == "mesh" && config_.asset.empty())
     run_mesh(progress);
+  else if (name == "mesh")
+    take_asset(progress);
   else if (name == "attack")
     run_attack_stage(progress);
   else if (name == "bake")
@@ -202,6 +205,18 @@ void Run::run_stage(const std::string& name, Progress& progress) {
     run_evaluate(progress);
   else
     run_report(progress);
+}
+
+void Run::adopt_attack(const Run& from, const AttackResult& result) {
+  std::vector<std::string> assignments;
+  for (const ConfigKey& key : config_keys(from.config_)) {
+    const bool of_attack = key.name.starts_with("attack.") && key.name != "attack.also";
+    if (of_attack) assignments.push_back(key.name + "=" + key.value);
+  }
+  reconfigure(assignments, "attack");
+  save_attack_files(result);
+  record({"attack", 0, 0});
+  save();
 }
 
 const Capture& Run::capture(Progress& progress) {

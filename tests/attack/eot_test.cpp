@@ -253,6 +253,35 @@ TEST(EotDistribution, ShiftOfTheObject) {
   }
 }
 
+TEST(EotDistribution, LightComesFromAllSidesInItsShare) {
+  // Three patches whose normals are the axes: their factors are those of the drawn direction.
+  EotOptions o = no_transforms();
+  o.light = 0.5;
+  Tensor normals = at::zeros({kDraws, 3, 1, 6});
+  for (int k = 0; k < 3; ++k) {
+    normals.select(1, k).select(2, 2 * k).fill_(2);
+    normals.select(1, k).select(2, 2 * k + 1).fill_(-1);
+  }
+  const Tensor white = at::ones({kDraws, 4, 1, 6});
+  const Tensor lit = light_pictures(white, normals, o, 7, 0);
+  EXPECT_TRUE(at::equal(lit.select(1, 3), white.select(1, 3)));
+  const Tensor factor = lit.select(1, 0).squeeze(1);
+  // Opposite sides differ by 4 share cosine.
+  const Tensor shares = (factor.select(1, 0) - factor.select(1, 1)).square() +
+                        (factor.select(1, 2) - factor.select(1, 3)).square() +
+                        (factor.select(1, 4) - factor.select(1, 5)).square();
+  const Tensor share = shares.sqrt() / 4;
+  expect_uniform(share, 0, 0.5, "share");
+  for (int k = 0; k < 3; ++k) {
+    const Tensor cosine = (factor.select(1, 2 * k) - factor.select(1, 2 * k + 1)) / (4 * share);
+    expect_uniform(cosine, -1, 1, "direction, axis " + std::to_string(k));
+  }
+  // As much light as before over the six sides.
+  EXPECT_NEAR(value((factor.mean(1) - 1).abs().max()), 0, 1e-5);
+  o.light = 0;
+  EXPECT_TRUE(at::equal(light_pictures(white, normals, o, 7, 0), white));
+}
+
 TEST(EotDistribution, DiversityShrinksAndPadsWithBlack) {
   EotOptions o = no_transforms();
   o.diversity = 1;

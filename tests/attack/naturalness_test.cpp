@@ -137,11 +137,19 @@ TEST(Naturalness, WeighsItsTerms) {
   EXPECT_EQ(total(o, rest * 1.1), 0);
 }
 
-TEST(Naturalness, PrintabilityNeedsAList) {
+TEST(Naturalness, WithoutAListPrintabilityTakesMixesOfInks) {
+  const Tensor mixes = process_ink_mixes();
+  EXPECT_EQ(mixes.size(0), 27);
+  const auto color = [](float r, float g, float b) { return at::tensor({r, g, b}); };
+  EXPECT_TRUE(at::allclose(mixes[0], color(1, 1, 1)));             // paper
+  EXPECT_TRUE(at::allclose(mixes[2], color(0, 0.68F, 0.94F)));     // full cyan
+  EXPECT_TRUE(at::allclose(mixes[1], color(0.5F, 0.84F, 0.97F)));  // half of it
+  EXPECT_TRUE(at::allclose(mixes[6 + 18], color(0.93F, 0, 0)));    // magenta and yellow: red
+  EXPECT_TRUE(at::allclose(mixes[26], color(0, 0, 0)));
+}
+
+TEST(Naturalness, UnknownWeightsAreInputErrors) {
   AttackOptions o;
-  o.printability_weight = 1;
-  EXPECT_THROW(Naturalness(testing::ball_input(0), o), InputError);
-  o = {};
   o.laplacian = "cotan";
   EXPECT_THROW(Naturalness(testing::ball_input(0), o), InputError);
 }

@@ -66,5 +66,28 @@ TEST(Sticker, LeavesTheOutsideUntouchedToTheLastBit) {
   }
 }
 
+TEST(Sticker, ADrawnMaskFreesWhatItShowsLight) {
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  const AttackInput input = testing::ball_input(0);
+  // The map's v is height: the lower half of the picture, drawn white, is the upper half ball.
+  Tensor mask = at::zeros({20, 10, 3}, at::kByte);
+  mask.narrow(0, 10, 10).fill_(255);
+  write_file_atomic(folder / "mask.png", encode_png(mask));
+  const Tensor inside = masked_faces(input.map, read_image(folder / "mask.png"));
+  const Tensor height = middles(input.mesh).select(1, 2);
+  EXPECT_TRUE(at::equal(inside, height >= 0));
+  AttackOptions o = testing::toy_options(attack_preset("sticker"));
+  o.sticker_mask = folder / "mask.png";
+  EXPECT_TRUE(needs_texture_map(o));
+  o.steps = 5;
+  const AttackResult r = run_attack(input, o, 1, folder / "c", quiet);
+  const SurfacePoints points = middle_points(input.mesh);
+  const Tensor same = (r.appearance->color(points) == input.appearance->color(points)).all(0);
+  EXPECT_TRUE(at::equal(same, ~inside));
+  write_file_atomic(folder / "mask.png", encode_png(at::zeros({20, 10, 3}, at::kByte)));
+  EXPECT_THROW((void)run_attack(input, o, 1, folder / "d", quiet), InputError);
+}
+
 }  // namespace
 }  // namespace tt3d

@@ -18,7 +18,7 @@ class ColorClassifier : public Classifier {
                            const std::vector<std::string>& labels = {"red", "green", "blue"})
       : gain_(gain) {
     card_.name = "colors";
-    card_.height = card_.width = 32;
+    card_.height = card_.width = card_.resize = 32;
     card_.labels = labels;
   }
   [[nodiscard]] const ModelCard& card() const override { return card_; }
@@ -75,6 +75,11 @@ inline AttackInput ball_input(int64_t target, at::Device device = at::kCPU) {
   input.mesh = TriMesh{s.vertices, s.faces}.to(device);
   input.appearance =
       std::make_shared<GridMlpAppearance>(RadianceField::create(shape, 1).appearance.to(device));
+  // Longitude and height as a map; its seam does not matter to a mean colour.
+  const at::Tensor around = at::atan2(s.vertices.select(1, 1), s.vertices.select(1, 0)) / 6.2832;
+  const at::Tensor height = s.vertices.select(1, 2) / 1.4;
+  input.map = TextureMap{at::stack({around, height}, 1) + 0.5, s.faces}.to(device);
+  input.texels = at::full({32, 32, 3}, 128, at::kByte).to(device);
   input.frame = {{0, 0, 0}, 1, 3.2, 40};
   input.surrogates = {std::make_shared<ColorClassifier>()};
   input.classes = {target};

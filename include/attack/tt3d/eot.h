@@ -17,6 +17,7 @@ namespace tt3d {
 struct EotOptions {
   // In 3D.
   double object_shift = 0;  ///< shift of the object along each axis, of its radius, each way (0)
+  double light = 0;  ///< share of the light that comes from one random direction, U(0, light) (0)
   // Place in the frame, before compositing.
   double scale_low = 0.7, scale_high = 1.15;  ///< size of the picture in the frame (both 1)
   double shift = 0.1;                         ///< of the frame's side, each way (0)
@@ -55,6 +56,12 @@ struct EotOptions {
 [[nodiscard]] std::vector<Camera> shift_object(std::vector<Camera> cameras, double radius,
                                                const EotOptions& options, uint64_t seed,
                                                int64_t step);
+
+/// Lights pictures [N,4,H,W] of a matte surface by another draw for each: a share of light from one
+/// direction, uniform over the sphere, the rest even, and as much of it over all directions as
+/// before. `normals` [N,3,H,W] of what they show, of any length but 0. Differentiable.
+[[nodiscard]] at::Tensor light_pictures(const at::Tensor& images, const at::Tensor& normals,
+                                        const EotOptions& options, uint64_t seed, int64_t step);
 
 /// What JPEG makes of pictures, with a gradient: colour space, halved chroma and the quantised 8x8
 /// cosine transform as the standard and libjpeg have them, but with the smooth rounding of Shin and

@@ -103,6 +103,10 @@ enum class LaplacianWeights {
                ///< 1993): flat places cost nothing, however they are cut. Kept in [1e-4, 1e2].
 };
 
+/// Unit normals of the vertices [V,3]: the mean of the faces around, weighted by area; 0 where
+/// there are none. faces [F,3]. Differentiable.
+[[nodiscard]] at::Tensor vertex_normals(const at::Tensor& vertices, const at::Tensor& faces);
+
 /// Neighbourhoods of a mesh, for the regularisers.
 class MeshRegularizer {
  public:

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "tt3d/attack.h"
+#include "tt3d/bake.h"
 #include "tt3d/capture.h"
 #include "tt3d/core.h"
 #include "tt3d/evaluate.h"
@@ -29,12 +30,14 @@ struct RunConfig {
 
   uint64_t seed = 0;
   CaptureOptions capture;
+  std::filesystem::path asset;  ///< attacked in place of a capture
   FieldOptions field;
   MeshOptions mesh;
   std::string attack_method = "dual";  ///< preset that `attack` follows
   AttackOptions attack;
   std::string attack_target;
   std::vector<std::string> attack_surrogates;
+  std::vector<std::string> attack_also;  ///< run folders of further objects
   int bake_resolution = 2048;
   int bake_padding = 4;
   double unwrap_time_limit = 300;
@@ -82,6 +85,13 @@ struct StageRecord {
   int64_t peak_rss_bytes = 0;
 };
 
+/// Where an object stands: the frame of its views, normalised, and the way from the input's
+/// coordinates into it.
+struct Scene {
+  ViewFrame frame;
+  Normalization normalization;
+};
+
 /// A run folder (design, section 7). Holds a lock, so that two programs never share one.
 class Run {
  public:
@@ -117,11 +127,20 @@ class Run {
   void record(const StageRecord& finished);
   void run_field(Progress& progress);
   void run_mesh(Progress& progress);
+  void take_asset(Progress& progress);
   void run_attack_stage(Progress& progress);
   void run_bake(Progress& progress);
   void run_evaluate(Progress& progress);
   void run_report(Progress& progress);
   const Capture& capture(Progress& progress);
+  [[nodiscard]] Scene scene(Progress& progress);
+  /// The clean object as an attack begins with it; models aside.
+  [[nodiscard]] AttackInput attack_input(Progress& progress);
+  void save_attack_files(const AttackResult& result) const;
+  /// Takes over what another run's universal attack made of this object.
+  void adopt_attack(const Run& from, const AttackResult& result);
+  /// The clean mesh's map, cut once and kept beside it.
+  [[nodiscard]] Atlas atlas(const TriMesh& mesh) const;
 
   std::filesystem::path folder_;
   RunConfig config_;

@@ -1,0 +1,98 @@
+"""What scripts/method-table runs: objects, targets, and the attacks in the order of their worth."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+CAPTURES = ROOT.parent / "shared/data/captures"
+
+#: Objects and their ImageNet classes.
+OBJECTS = {"chicken": "hen", "siamese-cat": "284", "soccer-ball": "soccer ball"}
+#: Fixed before any attack was run; no object's look or name has to do with them.
+TARGETS = ("teapot", "pineapple")
+
+LITE0 = "efficientnet_lite0"
+#: Models of each architecture, the one that stands for it as a surrogate first.
+ARCHITECTURES = {
+    "EfficientNet-Lite": (LITE0, "efficientnet_lite1", "efficientnet_lite2"),
+    "MobileNetV1": ("mobilenet_v1",),
+    "HarDNet-39DS": ("hardnet39ds",),
+    "SqueezeNet 1.1": ("squeezenet1_1",),
+}
+VICTIMS = tuple(model for family in ARCHITECTURES.values() for model in family)
+
+#: The paper's table 1, then the attacks that it builds on.
+METHODS = ("texture", "mesh", "mlp", "grid", "dual", "dual-texture-only", "strong")
+OTHERS = (
+    "advturtle", "meshadv-shape", "meshadv-texture", "physical", "sticker", "full-coverage",
+    "repeated", "triplanar",
+)  # fmt: skip
+BETAS = (100, 1000, 10000)
+VIEWS_PER_STEP = 6
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One attack: its table, the row in it, and what the program is told."""
+
+    table: str
+    row: str
+    method: str
+    obj: str
+    target: str
+    surrogates: tuple[str, ...] = (LITE0,)
+    settings: dict[str, str] = field(default_factory=dict, hash=False)
+
+    @property
+    def name(self) -> str:
+        """The cell's folder."""
+        return f"{self.table}/{self.row}/{self.obj}-{self.target}".replace(" ", "_")
+
+
+def white_box(left_out: str) -> tuple[str, ...]:
+    """Return a model of each architecture but one."""
+    return tuple(family[0] for name, family in ARCHITECTURES.items() if name != left_out)
+
+
+def _methods(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -> list[Cell]:
+    return [Cell("methods", m, m, o, target) for m in methods for o in objects]
+
+
+def _leave_one_out(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -> list[Cell]:
+    return [
+        Cell("leave-one-out", f"{m} without {left_out}", m, o, target, white_box(left_out))
+        for left_out in ARCHITECTURES
+        for o in objects
+        for m in methods
+    ]
+
+
+def _betas(objects: tuple[str, ...], target: str) -> list[Cell]:
+    """The paper's objective: no floors, beta alone weighs."""
+    return [
+        Cell("beta", f"beta {beta}", "dual", o, target, settings={
+            "attack.beta": str(beta), "attack.psnr_floor": "0", "attack.ssim_floor": "0",
+        })
+        for beta in BETAS
+        for o in objects
+    ]  # fmt: skip
+
+
+def _ensemble(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -> list[Cell]:
+    return [Cell("ensemble", m, m, o, target, white_box("")) for m in methods for o in objects]
+
+
+def plan(presets: tuple[str, ...], objects: tuple[str, ...]) -> list[Cell]:
+    """Return the cells of these presets, those first without which the table says least."""
+    chosen = [m for m in METHODS if m in presets]
+    own, others = tuple(chosen), tuple(m for m in OTHERS if m in presets)
+    carried = tuple(m for m in ("strong", "texture") if m in presets)
+    first, second = TARGETS
+    cells = _methods(own, objects, first)
+    cells += _leave_one_out(carried[:1], objects, first)
+    if "dual" in own:
+        cells += _betas(objects, first)
+    cells += _methods(others, objects, first)
+    cells += _leave_one_out(carried[1:], objects, first)
+    cells += _ensemble(carried, objects, first)
+    return cells + _methods(own + others, objects, second)

@@ -1,0 +1,246 @@
+"""The page of scripts/method-table: tables and plots of the attacks that are finished."""
+
+import csv
+import json
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from method_plan import ARCHITECTURES, BETAS, ROOT, VICTIMS, Cell
+
+IMAGES = ROOT / "docs/images"
+SHORT = {
+    "efficientnet_lite0": "Lite0", "efficientnet_lite1": "Lite1", "efficientnet_lite2": "Lite2",
+    "mobilenet_v1": "MobileNetV1", "hardnet39ds": "HarDNet", "squeezenet1_1": "SqueezeNet",
+}  # fmt: skip
+BOOTSTRAPS = 2000
+
+
+@dataclass
+class Score:
+    """What an attack's evaluation says; shares in [0,1]."""
+
+    obj: str
+    hits: dict[str, float]
+    views: int
+    psnr: float
+    ssim: float
+
+
+def read_score(cell: Cell, folder: Path) -> Score:
+    """Read an attack's record."""
+    record = json.loads((folder / "eval/builtin.json").read_text(encoding="utf-8"))
+    natural = record["naturalness"]
+    hits = {v["name"]: v["asr"] for v in record["victims"]}
+    return Score(cell.obj, hits, record["views"]["count"], natural["psnr"], natural["ssim"])
+
+
+def interval(scores: list[Score], victims: tuple[str, ...]) -> tuple[float, float]:
+    """Return the 95 % interval of the mean success over objects and victims.
+
+    A bootstrap clustered by object: objects are drawn with replacement, and the views of each of
+    their attacks anew from the success that was seen.
+    """
+    by_object = defaultdict(list)
+    for score in scores:
+        by_object[score.obj].append(score)
+    clusters, random = list(by_object.values()), np.random.default_rng(0)
+    means = []
+    for _ in range(BOOTSTRAPS):
+        drawn = [s for i in random.integers(len(clusters), size=len(clusters)) for s in clusters[i]]
+        shares = [random.binomial(s.views, s.hits[v]) / s.views for s in drawn for v in victims]
+        means.append(np.mean(shares))
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def mean(scores: list[Score], victims: tuple[str, ...]) -> float:
+    """Return the mean success over attacks and victims."""
+    return float(np.mean([s.hits[v] for s in scores for v in victims]))
+
+
+def percent_with_interval(scores: list[Score], victims: tuple[str, ...]) -> str:
+    """Return the mean success and its interval as text."""
+    low, high = interval(scores, victims)
+    return f"{100 * mean(scores, victims):.0f} ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def _table(header: list[str], rows: list[list[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+class Results:
+    """Finished attacks, by table and row."""
+
+    def __init__(self, done: dict[Cell, Path]) -> None:
+        """Read all records."""
+        self.folders = done
+        self.scores = {cell: read_score(cell, folder) for cell, folder in done.items()}
+
+    def rows(self, table: str) -> dict[str, list[Cell]]:
+        """Return a table's finished attacks by row."""
+        rows = defaultdict(list)
+        for cell in self.scores:
+            if cell.table == table:
+                rows[cell.row].append(cell)
+        return rows
+
+    def of(self, cells: list[Cell]) -> list[Score]:
+        """Return the scores of attacks."""
+        return [self.scores[c] for c in cells]
+
+    def transfer_table(self, table: str) -> str:
+        """Surrogates and methods down, victims across, what was attacked marked with a star."""
+        header = ["method", "attacks", *(SHORT[v] for v in VICTIMS), "unseen", "PSNR", "SSIM"]
+        lines = []
+        for row, cells in self.rows(table).items():
+            scores, seen = self.of(cells), cells[0].surrogates
+            unseen = tuple(v for v in VICTIMS if v not in seen)
+            success = [
+                f"{100 * mean(scores, (v,)):.0f}" + ("\\*" if v in seen else "") for v in VICTIMS
+            ]
+            lines.append(["`" + row + "`", str(len(cells)), *success,
+                          percent_with_interval(scores, unseen),
+                          f"{np.mean([s.psnr for s in scores]):.1f}",
+                          f"{np.mean([s.ssim for s in scores]):.3f}"])  # fmt: skip
+        return _table(header, lines)
+
+    def object_table(self, table: str) -> str:
+        """The same rows' mean success on unseen models, by object."""
+        objects = sorted({c.obj for c in self.scores if c.table == table})
+        lines = []
+        for row, cells in self.rows(table).items():
+            unseen = tuple(v for v in VICTIMS if v not in cells[0].surrogates)
+            line = ["`" + row + "`"]
+            for obj in objects:
+                own = self.of([c for c in cells if c.obj == obj])
+                line.append(f"{100 * mean(own, unseen):.0f}" if own else "not run")
+            lines.append(line)
+        return _table(["method", *objects], lines)
+
+    def left_out_table(self) -> str:
+        """Success on the architecture that was left out, by method."""
+        by_method = defaultdict(dict)
+        for row, cells in self.rows("leave-one-out").items():
+            method, left_out = row.split(" without ")
+            by_method[method][left_out] = self.of(cells)
+        lines = []
+        for method, columns in by_method.items():
+            line, means = ["`" + method + "`"], []
+            for name, models in ARCHITECTURES.items():
+                if name not in columns:
+                    line.append("not run")
+                    continue
+                means.append(mean(columns[name], models))
+                attacks = len(columns[name])
+                line.append(f"{percent_with_interval(columns[name], models)}, {attacks} attacks")
+            every = [s for scores in columns.values() for s in scores]
+            line += [f"{100 * np.mean(means):.0f}", f"{np.mean([s.psnr for s in every]):.1f}"]
+            lines.append(line)
+        return _table(["method", *ARCHITECTURES, "mean", "PSNR"], lines)
+
+
+# ---- Plots --------------------------------------------------------------------------------
+
+
+def _save(figure: object, name: str) -> str:
+    import matplotlib.pyplot as plt
+
+    figure.tight_layout()
+    figure.savefig(IMAGES / name, dpi=110)
+    plt.close(figure)
+    return f"![{name.split('.')[0].replace('-', ' ')}](images/{name})\n"
+
+
+def beta_plot(results: Results) -> str:
+    """Draw success and PSNR against beta; returns the picture's reference."""
+    import matplotlib.pyplot as plt
+
+    rows = results.rows("beta")
+    betas = [b for b in BETAS if f"beta {b}" in rows]
+    scores = [results.of(rows[f"beta {b}"]) for b in betas]
+    figure, axis = plt.subplots(figsize=(5.2, 3.2))
+    for victims, label in (((VICTIMS[0],), "Lite0, attacked"), (VICTIMS[1:], "unseen models")):
+        axis.semilogx(betas, [100 * mean(s, victims) for s in scores], marker="o", label=label)
+    axis.set(xlabel="beta", ylabel="success, %", ylim=(0, 100))
+    axis.legend(loc="upper right")
+    other = axis.twinx()
+    other.semilogx(betas, [np.mean([x.psnr for x in s]) for s in scores], "k--", marker="s")
+    other.set_ylabel("PSNR, dB (dashed)")
+    return _save(figure, "results-beta.png")
+
+
+def curves_plot(results: Results) -> str:
+    """Draw the objective of the dual attacks over the steps, smoothed over a tenth of them."""
+    import matplotlib.pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(5.2, 3.2))
+    for cell in results.rows("methods").get("dual", []):
+        text = (results.folders[cell] / "attack/curves.csv").read_text(encoding="utf-8")
+        objective = np.array([float(r["objective"]) for r in csv.DictReader(text.splitlines())])
+        width = max(1, len(objective) // 10)
+        smooth = np.convolve(objective, np.ones(width) / width, mode="valid")
+        axis.plot(np.arange(len(smooth)) + width, smooth, label=f"{cell.obj}, {cell.target}")
+    axis.set(xlabel="step", ylabel="objective (negative logit)")
+    axis.legend(fontsize=7)
+    return _save(figure, "results-curves.png")
+
+
+# ---- Page ---------------------------------------------------------------------------------
+
+
+def _missing(missing: list[Cell]) -> str:
+    if not missing:
+        return "Nothing of the plan is missing.\n"
+    rows = defaultdict(list)
+    for cell in missing:
+        rows[f"{cell.table}, `{cell.row}`"].append(f"{cell.obj} to {cell.target}")
+    lines = [f"- {row}: {', '.join(attacks)}" for row, attacks in rows.items()]
+    return f"{len(missing)} attacks of the plan were not run:\n\n" + "\n".join(lines) + "\n"
+
+
+def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
+    """Return the page of these attacks; draws its plots beside it."""
+    results = Results(done)
+    parts = [INTRODUCTION.format(budget=budget)]
+    if results.rows("methods"):
+        parts += [METHODS, results.transfer_table("methods"), BY_OBJECT,
+                  results.object_table("methods")]  # fmt: skip
+    if results.rows("methods").get("dual"):
+        parts += [CURVES, curves_plot(results)]
+    if results.rows("leave-one-out"):
+        parts += [LEFT_OUT, results.left_out_table()]
+    if results.rows("ensemble"):
+        parts += [ENSEMBLE, results.transfer_table("ensemble")]
+    if results.rows("beta"):
+        parts += [BETA, results.transfer_table("beta"), beta_plot(results)]
+    reading = ROOT / "docs/results-reading.md"
+    if reading.is_file():
+        parts += ["## What it says\n", reading.read_text(encoding="utf-8")]
+    return "\n".join([*parts, "## Not run\n", _missing(missing)])
+
+
+INTRODUCTION = """# Results
+
+Written by `scripts/method-table`; run it again to go on or after a change. Every attack renders
+{budget} pictures of 224 pixels, six a step, and shows each to each of its surrogates; all else is
+the preset's ([attack](attack.md#methods)). Success in %, on 100 held-out `dome` views of the
+exported GLB on white, a mean over the row's attacks; \\* marks models that were attacked. The
+interval (95 %) is a bootstrap clustered by object; with three objects it is wide, and with one it
+knows the views alone.
+"""
+METHODS = """## Methods
+
+Through EfficientNet-Lite0 alone. "unseen": the mean over the five models that were not attacked.
+"""
+BY_OBJECT = "Mean success on the unseen models, by object:\n"
+CURVES = "The objective of `dual` over its steps:\n"
+LEFT_OUT = """## One architecture left out
+
+The surrogates are one model of each of the three other architectures; the figure is the success on
+the one left out (EfficientNet-Lite: mean of Lite0, 1 and 2).
+"""
+ENSEMBLE = "## All four architectures as surrogates\n"
+BETA = "## Beta\n\n`dual` with the paper's objective, without floors: beta alone weighs.\n"

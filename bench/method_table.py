@@ -1,0 +1,143 @@
+"""The attacks of the literature at equal budgets: runs what is missing, writes docs/results.md.
+
+    scripts/method-table [--presets NAME...] [--objects NAME...] [--budget PICTURES] [--out FOLDER]
+                         [--limit SECONDS] [--report-only]
+
+Each attack renders the same number of pictures and shows each to each of its surrogates. Objects
+are reconstructed once and shared. A finished attack is read, not run again, and an interrupted one
+goes on; the page is written from what there is and says what is missing.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import time
+from pathlib import Path
+
+import method_report
+from method_plan import (
+    CAPTURES,
+    METHODS,
+    OBJECTS,
+    OTHERS,
+    ROOT,
+    VICTIMS,
+    VIEWS_PER_STEP,
+    Cell,
+    plan,
+)
+
+SEED = 1
+VIEWS = 100
+RECORD = "eval/builtin.json"
+
+
+class Table:
+    """The folder of the attacks, and the program that fills it."""
+
+    def __init__(self, out: Path, program: Path, budget: int) -> None:
+        """Remember where everything is; `budget` is the number of rendered pictures an attack."""
+        self.out, self.program, self.budget = out, program, budget
+
+    def folder(self, cell: Cell) -> Path:
+        """Return the cell's run folder."""
+        return self.out / "cells" / cell.name
+
+    def finished(self, cell: Cell) -> bool:
+        """Whether the cell has its record, of an attack with this budget."""
+        folder = self.folder(cell)
+        if not (folder / RECORD).is_file():
+            return False
+        config = json.loads((folder / "run.json").read_text(encoding="utf-8"))["config"]
+        return int(config["attack.steps"]) * int(config["attack.views_per_step"]) == self.budget
+
+    def run(self, cell: Cell) -> None:
+        """Attack, bake and score."""
+        folder = self.folder(cell)
+        self._share(self._object(cell.obj), folder)
+        settings = {
+            "attack.steps": str(self.budget // VIEWS_PER_STEP),
+            "attack.views_per_step": str(VIEWS_PER_STEP),
+            "bake.resolution": "1024",
+            **cell.settings,
+        }
+        assignments = [
+            word for key, value in settings.items() for word in ("--set", f"{key}={value}")
+        ]
+        self._tt3d("attack", folder, "--method", cell.method, "--target", cell.target,
+                   "--surrogate", *cell.surrogates, *assignments)  # fmt: skip
+        self._tt3d("bake", folder)
+        self._tt3d("evaluate", folder / "asset/adversarial.glb", "--clean",
+                   folder / "asset/clean.glb", "--target", cell.target, "--true-class",
+                   OBJECTS[cell.obj], "--victims", *VICTIMS, "--views", str(VIEWS),
+                   "--out", folder / RECORD)  # fmt: skip
+
+    def _object(self, name: str) -> Path:
+        """Return the run folder with the object's mesh, made if it is missing."""
+        folder = self.out / "objects" / name
+        if not (folder / "mesh/mesh.safetensors").is_file():
+            self._tt3d("fit", CAPTURES / name, "--out", folder, "--seed", str(SEED))
+            self._tt3d("mesh", folder)
+        return folder
+
+    @staticmethod
+    def _share(obj: Path, folder: Path) -> None:
+        """Begin a run folder that has the object's field and mesh already."""
+        if (folder / "run.json").is_file():
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        for part in ("field", "mesh"):
+            (folder / part).unlink(missing_ok=True)
+            (folder / part).symlink_to((obj / part).resolve())
+        record = json.loads((obj / "run.json").read_text(encoding="utf-8"))
+        record["stages"] = [s for s in record["stages"] if s["name"] in ("field", "mesh")]
+        (folder / "run.json").write_text(json.dumps(record), encoding="utf-8")
+
+    def _tt3d(self, *arguments: str | Path) -> None:
+        models = f"{CAPTURES.parent / 'models'}:{os.environ.get('TT3D_MODELS', '')}"
+        subprocess.run([self.program, *arguments, "-q"], check=True, stdout=subprocess.DEVNULL,
+                       env={**os.environ, "TT3D_MODELS": models})  # fmt: skip
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--presets", nargs="+", default=METHODS + OTHERS, metavar="NAME")
+    parser.add_argument("--objects", nargs="+", default=tuple(OBJECTS), choices=OBJECTS)
+    parser.add_argument("--budget", type=int, default=1200, help="rendered pictures an attack")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs/table")
+    parser.add_argument("--program", type=Path, default=ROOT / "build/release/tt3d")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs/results.md")
+    parser.add_argument("--limit", type=float, default=float("inf"),
+                        help="seconds after which no further attack is begun")  # fmt: skip
+    parser.add_argument("--report-only", action="store_true", help="run nothing, write the page")
+    options = parser.parse_args()
+    if options.budget % VIEWS_PER_STEP:
+        parser.error(f"--budget: expected a multiple of {VIEWS_PER_STEP}, the views a step")
+    return options
+
+
+def main() -> None:
+    """Run the command line."""
+    options = parse_arguments()
+    cells = plan(tuple(options.presets), tuple(options.objects))
+    table = Table(options.out.absolute(), options.program.absolute(), options.budget)
+    end = time.monotonic() + options.limit
+    for number, cell in enumerate(cells):
+        if options.report_only or time.monotonic() > end:
+            break
+        if table.finished(cell):
+            continue
+        print(f"{number + 1} of {len(cells)}: {cell.name}", flush=True)
+        start = time.monotonic()
+        table.run(cell)
+        print(f"  {time.monotonic() - start:.0f} s", flush=True)
+    done = {cell: table.folder(cell) for cell in cells if table.finished(cell)}
+    missing = [cell for cell in cells if cell not in done]
+    options.page.write_text(method_report.page(done, missing, options.budget), encoding="utf-8")
+    print(f"{len(done)} of {len(cells)} attacks: {options.page}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""docs/images/transforms.jpg: what each transform does, by strips of examples/show_transforms.
+
+.venv/bin/python bench/transforms.py build/examples/show_transforms ASSET.glb [PHOTOGRAPHS]
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image, ImageDraw, ImageFont
+
+PAGE = Path(__file__).resolve().parents[1] / "docs/images/transforms.jpg"
+ORDER = (
+    "none", "object_shift", "light", "scale", "shift", "rotation_deg", "plain_background",
+    "photograph_background", "brightness", "contrast", "saturation", "blur", "resolution", "noise",
+    "jpeg", "mix", "diversity",
+)  # fmt: skip
+ROW, LABEL, SHARE = 64, 150, 2
+
+
+def sheet(folder: Path) -> Image.Image:
+    """Return the strips with their names, in two columns."""
+    names = [name for name in ORDER if (folder / f"{name}.png").exists()]
+    rows = (len(names) + SHARE - 1) // SHARE
+    strips = [Image.open(folder / f"{name}.png") for name in names]
+    width = strips[0].width * ROW // strips[0].height
+    page = Image.new("RGB", (SHARE * (LABEL + width), rows * ROW), "white")
+    draw, font = ImageDraw.Draw(page), ImageFont.load_default(13)
+    for i, (name, strip) in enumerate(zip(names, strips, strict=True)):
+        x, y = (i // rows) * (LABEL + width), (i % rows) * ROW
+        draw.text((x + 6, y + ROW // 2 - 8), name, fill="black", font=font)
+        page.paste(strip.resize((width, ROW), Image.Resampling.LANCZOS), (x + LABEL, y))
+    return page
+
+
+def main() -> None:
+    """Run the command line."""
+    if len(sys.argv) not in (3, 4):
+        sys.exit(__doc__)
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([sys.argv[1], sys.argv[2], folder, *sys.argv[3:]], check=True)
+        sheet(Path(folder)).save(PAGE, quality=88)
+    print(PAGE)
+
+
+if __name__ == "__main__":
+    main()
