@@ -5,6 +5,7 @@
 #include <numbers>
 #include <string>
 
+#include "picture_ops.h"
 #include "tt3d/eot.h"
 #include "tt3d/lighting.h"
 #include "tt3d/random_tensor.h"
@@ -15,6 +16,7 @@ namespace {
 using at::Tensor;
 
 constexpr int64_t kBilinear = 0, kZeros = 0;  // of at::grid_sampler
+constexpr double kLeastBlur = 0.2;            // pixels; less is nothing
 
 /// One number a picture, shaped to broadcast over `pictures` [N,C,H,W], on their device.
 Tensor column(const std::vector<float>& values, const Tensor& pictures) {
@@ -62,32 +64,20 @@ std::vector<float> factors(int64_t count, double spread, Random& random) {
   return out;
 }
 
-/// Brightness, contrast around the mean, saturation around grey.
-Tensor jitter_colors(Tensor x, const EotOptions& o, Random& random) {
+/// Brightness b, contrast c around the mean, saturation s around the grey picture: together
+///   y = A x + d,  A = b c (s I + (1 - s) 1 luma^T),  d = (1 - c) b mean(x),
+/// one product a picture instead of a pass over the pixels for each.
+Tensor jitter_colors(const Tensor& x, const EotOptions& o, Random& random) {
   const int64_t n = x.size(0);
-  x = x * column(factors(n, o.brightness, random), x);
-  const Tensor mean = x.mean({1, 2, 3}, true);
-  x = mean + (x - mean) * column(factors(n, o.contrast, random), x);
-  const Tensor luma = at::tensor({0.299F, 0.587F, 0.114F}).view({1, 3, 1, 1}).to(x.device());
-  const Tensor grey = (x * luma).sum(1, true);
-  return grey + (x - grey) * column(factors(n, o.saturation, random), x);
-}
-
-/// Separable Gaussian blur, one sigma for the batch (its pictures already differ in size).
-Tensor blur(const Tensor& x, double sigma) {
-  if (sigma < 0.2) return x;
-  const auto radius = static_cast<int64_t>(std::ceil(2 * sigma));
-  const Tensor offsets = at::arange(-radius, radius + 1).to(at::kFloat);
-  Tensor kernel = (-(offsets.square()) / (2 * sigma * sigma)).exp();
-  kernel = (kernel / kernel.sum()).to(x.device());
-  const Tensor along_x = kernel.view({1, 1, 1, -1}).repeat({3, 1, 1, 1});
-  const Tensor along_y = kernel.view({1, 1, -1, 1}).repeat({3, 1, 1, 1});
-  const Tensor padded = at::replication_pad2d(x, {radius, radius, radius, radius});
-  const auto convolve = [](const Tensor& picture, const Tensor& weight) {
-    return at::conv2d(picture, weight, Tensor(), at::IntArrayRef{1, 1}, at::IntArrayRef{0, 0},
-                      at::IntArrayRef{1, 1}, 3);
-  };
-  return convolve(convolve(padded, along_x), along_y);
+  const Tensor brightness = column(factors(n, o.brightness, random), x).view({n, 1, 1});
+  const Tensor contrast = column(factors(n, o.contrast, random), x).view({n, 1, 1});
+  const Tensor saturation = column(factors(n, o.saturation, random), x).view({n, 1, 1});
+  const Tensor luma = at::tensor({0.299F, 0.587F, 0.114F}).repeat({3, 1}).to(x.device());
+  const Tensor mixed =
+      brightness * contrast * (saturation * at::eye(3, x.options()) + (1 - saturation) * luma);
+  const Tensor pixels = x.reshape({n, 3, -1});
+  const Tensor shift = (1 - contrast) * brightness * pixels.mean({1, 2}, true);
+  return at::baddbmm(shift, mixed, pixels).view(x.sizes());
 }
 
 /// Down to a share of the pixels a side, as a small sensor or a resize would, and up again.
@@ -194,20 +184,19 @@ Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o,
                         int64_t step, const Backgrounds* photographs) {
   Random random(seed, "attack/eot", static_cast<uint64_t>(step));
   const int64_t n = images.size(0);
-  const Tensor grid = at::affine_grid_generator(placements(n, o, random).to(images.device()),
-                                                {n, 4, size, size}, false);
-  const Tensor placed = at::grid_sampler(images, grid, kBilinear, kZeros, false);
+  const Tensor maps = placements(n, o, random).to(images.device());
   const Tensor behind = backgrounds(n, size, o, photographs, random).to(images.device());
-  Tensor x = placed.narrow(1, 0, 3) + (1 - placed.narrow(1, 3, 1)) * behind;
-  x = jitter_colors(x, o, random);
-  x = blur(x, random.uniform(0, 1) * o.blur);
+  Tensor x = jitter_colors(place_over(images, maps, behind, size), o, random);
+  const double blur_sigma = random.uniform(0, 1) * o.blur;
+  if (blur_sigma >= kLeastBlur) x = gaussian_blur(x, blur_sigma);
   if (o.resolution < 1) {
     Random own = stream_of("resolution", seed, step);
     x = reduce_resolution(x, own.uniform(o.resolution, 1));
   }
   if (o.noise > 0) {
     const double sigma = random.uniform(0, 1) * o.noise;
-    x = x + noise_tensor(x.sizes(), random.key(), random.position(), x.device()) * sigma;
+    x = at::add(x, noise_tensor(x.sizes(), stream_of("noise", seed, step).key(), x.device()),
+                sigma);
   }
   x = x.clamp(0, 1);
   if (o.jpeg > 0) x = compress(x, o, stream_of("jpeg", seed, step));

@@ -150,9 +150,10 @@ Naturalness::Terms Naturalness::terms(const Rendering& shown, const Tensor& vert
 Tensor Naturalness::missing_similarity(const Rendering& shown) const {
   if (options_.ssim_floor <= 0) return at::zeros({}, shown.pictures.options());
   constexpr int64_t kStride = 2;
-  const Tensor color = shown.pictures.narrow(1, 0, 3), alpha = shown.pictures.narrow(1, 3, 1);
+  const auto parts = shown.pictures.split_with_sizes({3, 1}, 1);
+  const Tensor behind = 1 - parts[1];
   const Tensor similarity =
-      structural_similarity(color + (1 - alpha), (shown.clean + 1 - alpha).detach(), kStride);
+      structural_similarity(parts[0] + behind, shown.clean.detach() + behind.detach(), kStride);
   return (options_.ssim_floor - similarity.mean()).clamp_min(0);
 }
 

@@ -33,20 +33,27 @@ struct RangeBlock {
   }
 };
 
-/// A sum of four uniforms is near enough to a normal, and needs no logarithm.
-struct NoiseItem {
+/// Elements 2 i and 2 i + 1 from block i. A sum of four uniforms is near enough to a normal, and
+/// needs no logarithm.
+struct NoiseBlock {
   RandomKey key;
   float* out;
-  uint64_t first;
-  TT3D_HD void operator()(int64_t i) const {
-    const uint64_t position = first + 2 * static_cast<uint64_t>(i);
-    const RandomBlock block = key.block(position / 4);
-    const auto k = static_cast<int>(position % 4);
-    const uint32_t a = block.word[k];
-    const uint32_t b = k < 3 ? block.word[k + 1] : key.block(position / 4 + 1).word[0];
+  int64_t count;
+  TT3D_HD static float normal(uint32_t a, uint32_t b) {
     constexpr float kScale = 1.7320508F;  // 1 / sqrt(4 / 12)
-    const auto sum = static_cast<float>((a & 0xFFFF) + (a >> 16) + (b & 0xFFFF) + (b >> 16));
-    out[i] = (sum / 65536.0F - 2.0F) * kScale;
+    const auto sum = static_cast<int32_t>((a & 0xFFFF) + (a >> 16) + (b & 0xFFFF) + (b >> 16));
+    return (static_cast<float>(sum) / 65536.0F - 2.0F) * kScale;
+  }
+  TT3D_HD void pair(int64_t i, float& first, float& second) const {
+    const RandomBlock block = key.block(static_cast<uint64_t>(i));
+    first = normal(block.word[0], block.word[1]);
+    second = normal(block.word[2], block.word[3]);
+  }
+  TT3D_HD void operator()(int64_t i) const {
+    float first, second;
+    pair(i, first, second);
+    out[2 * i] = first;
+    if (2 * i + 1 < count) out[2 * i + 1] = second;
   }
 };
 

@@ -5,6 +5,6 @@ namespace tt3d {
 
 template void for_each_index(const Cuda&, int64_t, const device::UnitBlock&);
 template void for_each_index(const Cuda&, int64_t, const device::RangeBlock&);
-template void for_each_index(const Cuda&, int64_t, const device::NoiseItem&);
+template void for_each_index(const Cuda&, int64_t, const device::NoiseBlock&);
 
 }  // namespace tt3d

@@ -5,7 +5,8 @@
 
 #include "tt3d/kernel.h"
 
-/// Body of Adam: one parameter.
+/// Body of Adam (Kingma and Ba 2015): one parameter. Without a gradient it stays as it is, and so
+/// do its moments: of a hash grid's entries a step reaches few.
 namespace tt3d::field {
 
 struct AdamEntry {
@@ -15,12 +16,12 @@ struct AdamEntry {
   float beta1, beta2, epsilon, rate;  ///< epsilon and rate with the bias correction in them
   TT3D_HD void operator()(int64_t i) const {
     const float g = gradient[i];
-    if (g == 0.0F) return;
+    const bool moves = g != 0.0F;
     const float m = beta1 * moment1[i] + (1 - beta1) * g;
     const float v = beta2 * moment2[i] + (1 - beta2) * g * g;
-    moment1[i] = m;
-    moment2[i] = v;
-    parameter[i] -= rate * m / (std::sqrt(v) + epsilon);
+    moment1[i] = moves ? m : moment1[i];
+    moment2[i] = moves ? v : moment2[i];
+    parameter[i] -= moves ? rate * m / (std::sqrt(v) + epsilon) : 0.0F;
   }
 };
 

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "adam_math.h"
 #include "hash_math.h"
 
 /// Loops over the field's bodies that need more than for_each_index: plain pointers in, plain
@@ -54,6 +55,9 @@ void hash_encode_backward_points(const Cuda& on, const T* points, const T* table
     for_each_index(on, count,
                    HashPointGradient<T, 2>{points, table, grad_out, grad_points, count, levels});
 }
+
+/// Adam's loop on the CPU, in the place of the general one.
+void for_each_index(const Cpu&, int64_t n, const AdamEntry& body);
 
 /// One layer's weights [out,in].
 template <typename T>

@@ -3,7 +3,6 @@
 
 #include <cmath>
 
-#include "adam_math.h"
 #include "composite_math.h"
 #include "field_kernels.h"
 #include "march_math.h"

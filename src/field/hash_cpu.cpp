@@ -21,15 +21,42 @@ TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table,
   }
 }
 
+/// Adds a cell's eight corners, corner outermost, to the table.
+template <typename T, int F>
+TT3D_HD void add_cell(const uint32_t cell[3], const T* sums, T* grad_table,
+                      const HashLevel& level) {
+  for (int k = 0; k < 8; ++k) {
+    T* entry = grad_table + static_cast<int64_t>(corner_entry(k, cell, level)) * F;
+    for (int f = 0; f < F; ++f) entry[f] += sums[k * F + f];
+  }
+}
+
+/// Neighbouring points often lie in one cell (pixels of a surface, samples of a ray): its sums stay
+/// in registers until a point leaves it.
 template <typename T, int F, bool kDense>
 TT3D_HD void scatter_level(const T* __restrict points, const T* __restrict grad_out,
                            T* __restrict grad_table, int64_t count, HashLevel level) {
   level.dense = kDense;
+  uint32_t held[3] = {};
+  T sums[8 * F] = {};
   for (int64_t i = 0; i < count; ++i) {
     T g[F];
     for (int f = 0; f < F; ++f) g[f] = grad_out[f * count + i];
-    scatter_point<T, F>(points + 3 * i, g, grad_table, level);
+    if (is_zero<T, F>(g)) continue;
+    uint32_t cell[3];
+    T fraction[3];
+    for (int k = 0; k < 3; ++k) locate(points[3 * i + k], level, cell[k], fraction[k]);
+    if (cell[0] != held[0] || cell[1] != held[1] || cell[2] != held[2]) {
+      add_cell<T, F>(held, sums, grad_table, level);
+      for (int k = 0; k < 8 * F; ++k) sums[k] = T(0);
+      for (int k = 0; k < 3; ++k) held[k] = cell[k];
+    }
+    for (int k = 0; k < 8; ++k) {
+      const T weight = corner_weight(k, fraction);
+      for (int f = 0; f < F; ++f) sums[k * F + f] += weight * g[f];
+    }
   }
+  add_cell<T, F>(held, sums, grad_table, level);
 }
 
 /// Adds the level's part of the gradient with respect to the points to total [3,kSlopeChunk].
@@ -131,8 +158,10 @@ template <typename T>
 void hash_encode_backward(const Cpu&, const T* points, const T* grad_out, T* grad_table,
                           int64_t count, const HashLevels& levels, int64_t features) {
   const auto scatter = scatter_loop<T>(features);
+  // A level is one thread's. Coarse ones cost less than fine ones: each thread gets some of both.
   at::parallel_for(0, levels.count, 1, [&](int64_t first, int64_t last) {
-    for (int64_t l = first; l < last; ++l) {
+    for (int64_t task = first; task < last; ++task) {
+      const int64_t l = task % 2 == 0 ? task / 2 : levels.count - 1 - task / 2;
       const HashLevel& level = levels.level[l];
       scatter(points, grad_out + l * features * count, grad_table + level.offset * features, count,
               level);

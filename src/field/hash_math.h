@@ -47,45 +47,70 @@ struct Corner {
   T weight;
 };
 
-/// Corner k of the cell: bit 0 moves along x, bit 1 along y, bit 2 along z.
+/// Entry of corner k of the cell: bit 0 moves along x, bit 1 along y, bit 2 along z.
+TT3D_HD uint32_t corner_entry(int k, const uint32_t cell[3], const HashLevel& level) {
+  return entry_of(cell[0] + (k & 1), cell[1] + ((k >> 1) & 1), cell[2] + ((k >> 2) & 1), level);
+}
+
+/// Its weight at the point inside.
+template <typename T>
+TT3D_HD T corner_weight(int k, const T fraction[3]) {
+  const T wx = k & 1 ? fraction[0] : T(1) - fraction[0];
+  const T wy = (k >> 1) & 1 ? fraction[1] : T(1) - fraction[1];
+  const T wz = (k >> 2) & 1 ? fraction[2] : T(1) - fraction[2];
+  return wx * wy * wz;
+}
+
+/// Corner k of the cell.
 template <typename T>
 TT3D_HD Corner<T> corner_of(int k, const uint32_t cell[3], const T fraction[3],
                             const HashLevel& level) {
-  const uint32_t dx = k & 1, dy = (k >> 1) & 1, dz = (k >> 2) & 1;
-  const T wx = dx ? fraction[0] : T(1) - fraction[0];
-  const T wy = dy ? fraction[1] : T(1) - fraction[1];
-  const T wz = dz ? fraction[2] : T(1) - fraction[2];
-  return {entry_of(cell[0] + dx, cell[1] + dy, cell[2] + dz, level), wx * wy * wz};
+  return {corner_entry(k, cell, level), corner_weight(k, fraction)};
 }
 
-/// The numbers of one entry, which the GPU takes in one load. Not on the CPU: the copy costs the
-/// loops around it their vectors.
+/// The numbers of one entry, taken in one load.
 template <typename T, int F>
-struct alignas(sizeof(T) * F) Entry {
+struct Entry {
   T value[F];
 };
+
+template <typename T, int F>
+TT3D_HD Entry<T, F> load_entry(const T* table, uint32_t entry) {
+  Entry<T, F> e;
+#ifdef __CUDA_ARCH__
+  struct alignas(sizeof(T) * F) Whole {
+    T value[F];
+  };
+  const auto whole = reinterpret_cast<const Whole*>(table)[entry];
+  for (int f = 0; f < F; ++f) e.value[f] = whole.value[f];
+#else
+  if constexpr (sizeof(T) == 4 && F == 2) {
+    // As one number of 64 bits: loops around it then load half as often (a struct would cost them
+    // their vectors).
+    typedef uint64_t Pair __attribute__((may_alias, aligned(4)));
+    const uint64_t bits = reinterpret_cast<const Pair*>(table)[static_cast<int32_t>(entry)];
+    e.value[0] = __builtin_bit_cast(float, static_cast<uint32_t>(bits));
+    e.value[1] = __builtin_bit_cast(float, static_cast<uint32_t>(bits >> 32));
+  } else {
+    for (int f = 0; f < F; ++f) e.value[f] = table[static_cast<int32_t>(entry) * F + f];
+  }
+#endif
+  return e;
+}
 
 /// sum[F] += weight * the entry's numbers.
 template <typename T, int F>
 TT3D_HD void add_entry(const T* table, uint32_t entry, T weight, T sum[F]) {
-#ifdef __CUDA_ARCH__
-  const auto e = reinterpret_cast<const Entry<T, F>*>(table)[entry];
+  const auto e = load_entry<T, F>(table, entry);
   for (int f = 0; f < F; ++f) sum[f] += weight * e.value[f];
-#else
-  for (int f = 0; f < F; ++f) sum[f] += weight * table[static_cast<int32_t>(entry) * F + f];
-#endif
 }
 
 /// The entry's numbers times grad[F], summed.
 template <typename T, int F>
 TT3D_HD T dot_entry(const T* table, uint32_t entry, const T grad[F]) {
+  const auto e = load_entry<T, F>(table, entry);
   T value = 0;
-#ifdef __CUDA_ARCH__
-  const auto e = reinterpret_cast<const Entry<T, F>*>(table)[entry];
   for (int f = 0; f < F; ++f) value += e.value[f] * grad[f];
-#else
-  for (int f = 0; f < F; ++f) value += table[static_cast<int32_t>(entry) * F + f] * grad[f];
-#endif
   return value;
 }
 
@@ -120,12 +145,17 @@ TT3D_HD void encode_point(const T* x, const T* table, const HashLevel& level, T 
   }
 }
 
+template <typename T, int F>
+TT3D_HD bool is_zero(const T grad[F]) {
+  bool zero = true;
+  for (int f = 0; f < F; ++f) zero = zero && grad[f] == T(0);
+  return zero;
+}
+
 /// Backward of encode_point: adds grad[F] to the cell's entries.
 template <typename T, int F>
 TT3D_HD void scatter_point(const T* x, const T grad[F], T* grad_table, const HashLevel& level) {
-  bool zero = true;
-  for (int f = 0; f < F; ++f) zero = zero && grad[f] == T(0);
-  if (zero) return;
+  if (is_zero<T, F>(grad)) return;
   uint32_t cell[3];
   T fraction[3];
   for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);
@@ -168,26 +198,29 @@ struct HashScatterItem {
   }
 };
 
-/// Gradient of encode_point with respect to the position inside the cell, for grad[F].
+/// Gradient of encode_point with respect to the position inside the cell, for grad[F]: the slopes
+/// of the trilinear interpolation, taken along x, then y, then z, so that each is used again.
 template <typename T, int F>
 TT3D_HD void slope_of_point(const T* x, const T* table, const T grad[F], const HashLevel& level,
                             T sum[3]) {
   uint32_t cell[3];
-  T fraction[3];
+  T fraction[3], v[8];
   for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);
-  for (int k = 0; k < 3; ++k) sum[k] = 0;
-  for (int k = 0; k < 8; ++k) {
-    const T value = dot_entry<T, F>(table, corner_of(k, cell, fraction, level).entry, grad);
-    T weight[3], sign[3];
-    for (int axis = 0; axis < 3; ++axis) {
-      const bool upper = (k >> axis) & 1;
-      weight[axis] = upper ? fraction[axis] : T(1) - fraction[axis];
-      sign[axis] = upper ? T(1) : T(-1);
-    }
-    sum[0] += value * sign[0] * weight[1] * weight[2];
-    sum[1] += value * sign[1] * weight[0] * weight[2];
-    sum[2] += value * sign[2] * weight[0] * weight[1];
+  for (int k = 0; k < 8; ++k) v[k] = dot_entry<T, F>(table, corner_entry(k, cell, level), grad);
+  T along_x[4], at_x[4];  // of the cell's four edges along x
+  for (int k = 0; k < 4; ++k) {
+    along_x[k] = v[2 * k + 1] - v[2 * k];
+    at_x[k] = v[2 * k] + along_x[k] * fraction[0];
   }
+  T slope_x[2], along_y[2], at_y[2];  // of its lower and upper face
+  for (int k = 0; k < 2; ++k) {
+    slope_x[k] = along_x[2 * k] + (along_x[2 * k + 1] - along_x[2 * k]) * fraction[1];
+    along_y[k] = at_x[2 * k + 1] - at_x[2 * k];
+    at_y[k] = at_x[2 * k] + along_y[k] * fraction[1];
+  }
+  sum[0] = slope_x[0] + (slope_x[1] - slope_x[0]) * fraction[2];
+  sum[1] = along_y[0] + (along_y[1] - along_y[0]) * fraction[2];
+  sum[2] = at_y[1] - at_y[0];
 }
 
 /// How far a position inside a level's cell moves with the point.

@@ -22,6 +22,17 @@ struct LanesOf {
 template <typename T>
 using Lanes = typename LanesOf<T>::type;
 
+/// Sum of the lanes, by halves.
+template <typename T>
+TT3D_HD T sum_of(const Lanes<T>& v) {
+  const auto a = __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7) +
+                 __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
+  const auto b =
+      __builtin_shufflevector(a, a, 0, 1, 2, 3) + __builtin_shufflevector(a, a, 4, 5, 6, 7);
+  const auto c = __builtin_shufflevector(b, b, 0, 1) + __builtin_shufflevector(b, b, 2, 3);
+  return c[0] + c[1];
+}
+
 /// y[out,kBlock] = w[out,in] x[in,kBlock]: four rows of y by two vectors of points at a time.
 template <typename T>
 TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out) {
@@ -71,9 +82,7 @@ TT3D_HD void accumulate_weights(const T* gy, const T* x, T* grad, int64_t in, in
       }
       for (int64_t r = 0; r < rows; ++r) {
         for (int64_t c = 0; c < cols; ++c) {
-          T total = 0;
-          for (int k = 0; k < kLanes; ++k) total += sum[r][c][k];
-          grad[(o + r) * in + i + c] += total;
+          grad[(o + r) * in + i + c] += sum_of<T>(sum[r][c]);
         }
       }
     }

@@ -27,40 +27,58 @@ struct Cloud {
 using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud,
                                                  3, int64_t>;
 
-/// The `rank`-th nearest (0 the nearest) of `points` to each query: indices [Q] and distances.
-std::pair<Tensor, Tensor> nearest(const Tensor& queries, const Tensor& points, int rank) {
-  const Cloud cloud = {points.const_data_ptr<float>(), static_cast<size_t>(points.size(0))};
-  const Tree tree(3, cloud, {16});
-  Tensor index = at::zeros({queries.size(0)}, at::kLong), distance = at::zeros({queries.size(0)});
-  auto* out = index.mutable_data_ptr<int64_t>();
-  auto* out_distance = distance.mutable_data_ptr<float>();
-  const auto* q = queries.const_data_ptr<float>();
-  for_each_index(queries.size(0), [&](int64_t i) {
+}  // namespace
+
+/// Rest places [V,3] on the host, ready for searches.
+struct MeshRegularizer::RestTree {
+  explicit RestTree(const Tensor& rest)
+      : points(rest.cpu().to(at::kFloat).contiguous()),
+        cloud{points.const_data_ptr<float>(), static_cast<size_t>(points.size(0))},
+        tree(3, cloud, {16}) {}
+  RestTree(const RestTree&) = delete;
+  RestTree& operator=(const RestTree&) = delete;
+
+  /// The nearest rest place, and the distance to the `rank`-th nearest (0 the nearest).
+  [[nodiscard]] std::pair<int64_t, float> nearest(const float* query, size_t rank) const {
     int64_t found[2] = {0, 0};
     float squared[2] = {0, 0};
-    const size_t count = tree.knnSearch(q + 3 * i, static_cast<size_t>(rank) + 1, found, squared);
-    out[i] = found[count - 1];
-    out_distance[i] = std::sqrt(squared[count - 1]);
-  });
-  return {index, distance};
+    const size_t count = tree.knnSearch(query, rank + 1, found, squared);
+    return {found[0], std::sqrt(squared[count - 1])};
+  }
+
+  Tensor points;
+  Cloud cloud;
+  Tree tree;
+};
+
+namespace {
+
+float squared_distance(const float* a, const float* b) {
+  const float x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+  return x * x + y * y + z * z;
 }
 
-/// The row of `values` of the point nearest to each query; where `own` [Q] holds, it is known to be
-/// the query's own number.
-Tensor rows_of_nearest(const Tensor& values, const Tensor& queries, const Tensor& points,
-                       const Tensor& own) {
-  if (queries.is_cpu()) {
-    if (own.all().item<bool>()) return values;
-    const auto found = nearest(queries.to(at::kFloat), points.to(at::kFloat), 0);
-    return values.index_select(0, found.first);
-  }
+/// For each query that has not its own number: find(i) gives the number. [Q] int64.
+template <typename Find>
+Tensor numbers(const Tensor& own, const Find& find) {
+  Tensor index = at::arange(own.size(0), at::kLong);
+  auto* out = index.mutable_data_ptr<int64_t>();
+  const auto* known = own.const_data_ptr<bool>();
+  for_each_index(own.size(0), [&](int64_t i) {
+    if (!known[i]) out[i] = find(i);
+  });
+  return index;
+}
+
+/// The same on the GPU, by trying all points.
+Tensor numbers_by_trying(const Tensor& queries, const Tensor& points, const Tensor& own) {
   const Tensor index = at::empty({queries.size(0)}, queries.options().dtype(at::kLong));
   for_each_index_on(
       queries, queries.size(0),
       mesh::NearestPoint{queries.const_data_ptr<float>(), points.const_data_ptr<float>(),
                          points.size(0), own.const_data_ptr<bool>(),
                          index.mutable_data_ptr<int64_t>()});
-  return values.index_select(0, index);
+  return index;
 }
 
 /// Keys of the undirected edges, each once, in order.
@@ -127,8 +145,48 @@ MeshRegularizer::MeshRegularizer(const TriMesh& rest, LaplacianWeights weights)
   }
   degree_ = at::zeros({rest_.size(0)}, rest_.options()).index_add_(0, edges_.flatten(), shares);
   degree_ = degree_.clamp_min(weights_.defined() ? 1e-4 : 1).unsqueeze(1);
-  const Tensor on_host = rest_.cpu().to(at::kFloat);
-  spacing_ = nearest(on_host, on_host, 1).second.to(rest_.options());
+  tree_ = std::make_shared<RestTree>(rest_);
+  Tensor spacing = at::empty({rest_.size(0)});
+  const float* points = tree_->points.const_data_ptr<float>();
+  auto* out = spacing.mutable_data_ptr<float>();
+  for_each_index(rest_.size(0),
+                 [&](int64_t i) { out[i] = tree_->nearest(points + 3 * i, 1).second; });
+  spacing_ = spacing.to(rest_.options());
+}
+
+/// The rest place nearest to each moved vertex, and the other way round: [V] int64 each.
+std::pair<Tensor, Tensor> MeshRegularizer::nearest_both_ways(const Tensor& moved,
+                                                             const Tensor& offset) const {
+  // A vertex that moved less than half its spacing has its own rest place as the nearest; a rest
+  // place whose spacing exceeds its own move and the largest one has its own vertex nearest.
+  const Tensor furthest = offset.max();
+  const Tensor stays = offset * 2 < spacing_, is_left = offset + furthest < spacing_;
+  if (!moved.is_cpu()) {
+    return {numbers_by_trying(moved, rest_, stays), numbers_by_trying(rest_, moved, is_left)};
+  }
+  const Tensor places = moved.to(at::kFloat), ways = offset.to(at::kFloat);
+  const float *place = places.const_data_ptr<float>(), *way = ways.const_data_ptr<float>();
+  const float most = furthest.item<float>();
+  const Tensor to_rest =
+      numbers(stays, [&](int64_t i) { return tree_->nearest(place + 3 * i, 0).first; });
+  const float* rest = tree_->points.const_data_ptr<float>();
+  const Tensor to_vertex = numbers(is_left, [&](int64_t i) {
+    // Nothing is nearer than its own vertex but what rests within both moves of here.
+    const float radius = (way[i] + most) * 1.0001F;
+    std::vector<std::pair<int64_t, float>> around;
+    tree_->tree.radiusSearch(rest + 3 * i, radius * radius, around, nanoflann::SearchParams());
+    int64_t found = i;
+    float least = squared_distance(place + 3 * i, rest + 3 * i);
+    for (const auto& [vertex, unused] : around) {
+      const float squared = squared_distance(place + 3 * vertex, rest + 3 * i);
+      if (squared < least) {
+        least = squared;
+        found = vertex;
+      }
+    }
+    return found;
+  });
+  return {to_rest, to_vertex};
 }
 
 Tensor MeshRegularizer::laplacian(const Tensor& vertices) const {
@@ -151,12 +209,9 @@ Tensor MeshRegularizer::edge_length(const Tensor& vertices) const {
 Tensor MeshRegularizer::chamfer(const Tensor& vertices) const {
   const Tensor moved = vertices.detach().contiguous();
   const Tensor offset = (moved - rest_).norm(2, {1});
-  // A vertex that moved less than half its spacing has its own rest place as the nearest; a rest
-  // place whose spacing exceeds its own move and the largest one has its own vertex nearest.
-  const Tensor to_rest = rows_of_nearest(rest_, moved, rest_, offset * 2 < spacing_);
-  const Tensor to_vertex =
-      rows_of_nearest(vertices, rest_, moved, offset + offset.max() < spacing_);
-  return (vertices - to_rest).square().sum(1).mean() + (to_vertex - rest_).square().sum(1).mean();
+  const auto [to_rest, to_vertex] = nearest_both_ways(moved, offset);
+  return (vertices - rest_.index_select(0, to_rest)).square().sum(1).mean() +
+         (vertices.index_select(0, to_vertex) - rest_).square().sum(1).mean();
 }
 
 }  // namespace tt3d

@@ -119,6 +119,7 @@ struct Package {
 std::pair<Graph, bool> prepare(const Package& package, const ModelOptions& options) {
   Graph graph = model::read_graph(model::Archive(package.archive, package.limits), package.limits);
   check_against_card(graph, package.card.card);
+  model::fold_paddings(graph);
   const bool channels_last = options.channels_last && model::can_use_channels_last(graph);
   if (options.fold_batch_norm) {
     model::fold_batch_norms(

@@ -152,6 +152,49 @@ void redirect(Graph& graph, const std::unordered_map<Slot, Slot>& moved) {
   resolve(graph.output);
 }
 
+/// A list of integers; empty where it is none, or not known before the graph runs.
+std::vector<int64_t> integers(const Input& input) {
+  if (input.kind == Input::Kind::kConstant && input.constant.isIntList()) {
+    return input.constant.toIntVector();
+  }
+  std::vector<int64_t> values;
+  for (const Input& item : input.items) {
+    if (item.kind != Input::Kind::kConstant || !item.constant.isInt()) return {};
+    values.push_back(item.constant.toInt());
+  }
+  return values;
+}
+
+/// Pads with constant zeros.
+bool is_zero_padding(const Step& step) {
+  const bool pads = step.target == "aten::constant_pad_nd" || step.target == "aten::pad";
+  if (!pads || argument(step, "self").kind != Input::Kind::kSlot) return false;
+  if (step.target == "aten::pad") {
+    const Input& mode = argument(step, "mode");
+    if (!mode.constant.isString() || mode.constant.toStringRef() != "constant") return false;
+  }
+  const Input& value = argument(step, "value");
+  if (value.kind != Input::Kind::kConstant) return false;
+  return value.constant.isNone() ||
+         (value.constant.isScalar() && value.constant.toScalar().toDouble() == 0);
+}
+
+/// Adds pad (left, right, top, bottom) to the convolution's own; false where it is not alike on
+/// both sides.
+bool add_padding(Step& conv, const std::vector<int64_t>& pad) {
+  const bool alike = pad.size() == 4 && pad[0] == pad[1] && pad[2] == pad[3];
+  if (!alike || pad[0] < 0 || pad[2] < 0) return false;
+  Input& own = conv.inputs[static_cast<size_t>(argument_index(conv, "padding"))];
+  std::vector<int64_t> sum = integers(own);
+  if (sum.size() == 1) sum.push_back(sum[0]);
+  if (sum.size() != 2 || sum[0] < 0 || sum[1] < 0) return false;
+  sum[0] += pad[2];
+  sum[1] += pad[0];
+  own = Input();
+  own.constant = sum;
+  return true;
+}
+
 void drop_unused_constants(Graph& graph) {
   const std::vector<int> reads = count_reads(graph);
   std::erase_if(graph.constants,
@@ -243,6 +286,27 @@ int simplify_batch_norms(Graph& graph) {
   }
   drop_unused_constants(graph);
   return count;
+}
+
+int fold_paddings(Graph& graph) {
+  const std::vector<int> reads = count_reads(graph);
+  std::unordered_map<Slot, size_t> producer;
+  std::unordered_set<size_t> folded;
+  for (size_t i = 0; i < graph.steps.size(); ++i) {
+    Step& step = graph.steps[i];
+    if (!step.op) continue;
+    if (is_zero_padding(step)) producer[step.outputs[0].slots[0]] = i;
+    if (!is_conv2d(step) || !step.op->schema().overload_name().empty()) continue;
+    const auto pad = producer.find(argument(step, "input").slot);
+    if (pad == producer.end() || reads[static_cast<size_t>(pad->first)] != 1) continue;
+    const Step& before = graph.steps[pad->second];
+    if (!add_padding(step, integers(argument(before, "pad")))) continue;
+    step.inputs[static_cast<size_t>(argument_index(step, "input"))] = argument(before, "self");
+    folded.insert(pad->second);
+  }
+  size_t index = 0;
+  std::erase_if(graph.steps, [&](const Step&) { return folded.count(index++) != 0; });
+  return static_cast<int>(folded.size());
 }
 
 bool can_use_channels_last(const Graph& graph) {

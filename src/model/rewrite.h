@@ -15,6 +15,10 @@ int fold_batch_norms(Graph& graph, at::MemoryFormat format);
 /// Returns how many.
 int simplify_batch_norms(Graph& graph);
 
+/// Gives convolutions the zeros that a padding before them adds alike on both sides, where nothing
+/// else reads the padded picture: no copy of it is made. Returns how many.
+int fold_paddings(Graph& graph);
+
 /// False where the graph depends on the layout of its intermediate results (writes through views)
 /// or has no 2D convolutions.
 [[nodiscard]] bool can_use_channels_last(const Graph& graph);

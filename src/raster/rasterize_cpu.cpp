@@ -43,9 +43,16 @@ void draw_triangle(const TriangleSetup& t, int64_t face, const Sizes& s, Band<T>
 template <typename T>
 void draw_band(const T* clip, const int32_t* faces, const Sizes& s, Band<T> band) {
   band.depth.assign((band.y_end - band.y_begin) * s.width, std::numeric_limits<double>::infinity());
+  // A vertex is shared by six triangles or so.
+  std::vector<ScreenPoint> points(static_cast<size_t>(s.vertices));
+  for (int64_t v = 0; v < s.vertices; ++v) {
+    points[v] = screen_point(load_vertex(clip, v), s.height, s.width);
+  }
   TriangleSetup setup;
   for (int64_t f = 0; f < s.faces; ++f) {
-    if (setup_triangle(clip, faces + 3 * f, s.height, s.width, setup)) {
+    const int32_t* face = faces + 3 * f;
+    if (setup_triangle(clip, face, points[face[0]], points[face[1]], points[face[2]], s.height,
+                       s.width, setup)) {
       draw_triangle(setup, f, s, band);
     }
   }

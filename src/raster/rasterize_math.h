@@ -108,41 +108,46 @@ TT3D_HD double greatest(double a, double b, double c) {
   return ab > c ? ab : c;
 }
 
+/// Where a vertex lies in the picture, in pixels (that of row and column 0 having its centre at 0).
+struct ScreenPoint {
+  double x, y;
+  bool in_front;  ///< of the camera; otherwise there is no place
+};
+
+TT3D_HD ScreenPoint screen_point(const ClipVertex& v, int64_t height, int64_t width) {
+  if (!(v.w > 0)) return {0, 0, false};
+  const double inverse = 1 / v.w;
+  return {(v.x * inverse + 1) * (0.5 * static_cast<double>(width)) - 0.5,
+          (1 - v.y * inverse) * (0.5 * static_cast<double>(height)) - 0.5, true};
+}
+
 /// Pixel range of a triangle; the whole picture when a vertex is behind the camera.
-TT3D_HD void set_bounds(const ClipVertex v[3], int64_t height, int64_t width,
-                        TriangleSetup& setup) {
+TT3D_HD void set_bounds(const ScreenPoint& p, const ScreenPoint& q, const ScreenPoint& r,
+                        int64_t height, int64_t width, TriangleSetup& setup) {
   setup.x_begin = 0;
   setup.y_begin = 0;
   setup.x_end = static_cast<int>(width);
   setup.y_end = static_cast<int>(height);
-  if (!(v[0].w > 0 && v[1].w > 0 && v[2].w > 0)) return;
-  const double half_w = 0.5 * static_cast<double>(width);
-  const double half_h = 0.5 * static_cast<double>(height);
-  double x[3], y[3];
-  for (int k = 0; k < 3; ++k) {
-    const double inverse = 1 / v[k].w;
-    // Pixel c has its centre at c + .5.
-    x[k] = (v[k].x * inverse + 1) * half_w - 0.5;
-    y[k] = (1 - v[k].y * inverse) * half_h - 0.5;
-  }
+  if (!(p.in_front && q.in_front && r.in_front)) return;
   // A margin covers rounding, the edge functions decide.
   constexpr double kMargin = 1e-6;
-  setup.x_begin = pixel_from(least(x[0], x[1], x[2]) - kMargin, width);
-  setup.x_end = pixel_past(greatest(x[0], x[1], x[2]) + kMargin, width);
-  setup.y_begin = pixel_from(least(y[0], y[1], y[2]) - kMargin, height);
-  setup.y_end = pixel_past(greatest(y[0], y[1], y[2]) + kMargin, height);
+  setup.x_begin = pixel_from(least(p.x, q.x, r.x) - kMargin, width);
+  setup.x_end = pixel_past(greatest(p.x, q.x, r.x) + kMargin, width);
+  setup.y_begin = pixel_from(least(p.y, q.y, r.y) - kMargin, height);
+  setup.y_end = pixel_past(greatest(p.y, q.y, r.y) + kMargin, height);
 }
 
-/// Prepares a triangle. False when it cannot cover a pixel (behind the camera, zero area, no
-/// pixel centre within its bounds, not finite).
+/// Prepares a triangle whose vertices' places are known. False when it cannot cover a pixel (behind
+/// the camera, zero area, no pixel centre within its bounds, not finite).
 template <typename T>
-TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, int64_t width,
-                            TriangleSetup& setup) {
+TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, const ScreenPoint& p,
+                            const ScreenPoint& q, const ScreenPoint& r, int64_t height,
+                            int64_t width, TriangleSetup& setup) {
+  if (!p.in_front && !q.in_front && !r.in_front) return false;
+  set_bounds(p, q, r, height, width, setup);
+  if (setup.x_begin >= setup.x_end || setup.y_begin >= setup.y_end) return false;
   const ClipVertex v[3] = {load_vertex(clip, face[0]), load_vertex(clip, face[1]),
                            load_vertex(clip, face[2])};
-  if (!(v[0].w > 0) && !(v[1].w > 0) && !(v[2].w > 0)) return false;
-  set_bounds(v, height, width, setup);
-  if (setup.x_begin >= setup.x_end || setup.y_begin >= setup.y_end) return false;
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3;
     const int j = (k + 2) % 3;
@@ -151,6 +156,15 @@ TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, 
     setup.w[k] = v[k].w;
   }
   return true;
+}
+
+/// The same where they are not.
+template <typename T>
+TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, int64_t width,
+                            TriangleSetup& setup) {
+  ScreenPoint at[3];
+  for (int k = 0; k < 3; ++k) at[k] = screen_point(load_vertex(clip, face[k]), height, width);
+  return setup_triangle(clip, face, at[0], at[1], at[2], height, width, setup);
 }
 
 /// A covered pixel: the edge functions' values there, and the depth z/w.

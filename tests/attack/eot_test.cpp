@@ -5,6 +5,7 @@
 #include <cmath>
 #include <functional>
 
+#include "attack/picture_ops.h"
 #include "attack/toy_attack.h"
 #include "support/gradient_check.h"
 #include "support/shapes.h"
@@ -308,6 +309,59 @@ TEST(Eot, MixAddsAShareOfAPhotograph) {
   const Tensor out = transform_images(x, kSide, o, 1, 0, &photographs);
   const Tensor wanted = at::tensor({0.7F, 0.4F, 1.F}).view({1, 3, 1, 1});
   EXPECT_LT(value((out - wanted).abs().max()), 1e-3);
+}
+
+// ---- Operators ----------------------------------------------------------------------------
+
+/// place_over in plain tensor operations.
+Tensor reference_placement(const Tensor& renderings, const Tensor& maps, const Tensor& background,
+                           int64_t size) {
+  const Tensor grid = at::affine_grid_generator(maps, {renderings.size(0), 4, size, size}, false);
+  const Tensor placed = at::grid_sampler(renderings, grid, 0, 0, false);
+  return placed.narrow(1, 0, 3) + (1 - placed.narrow(1, 3, 1)) * background;
+}
+
+TEST(PlaceOver, EqualsTheTensorReferenceAndItsGradient) {
+  const Tensor maps = testing::uniform({3, 2, 3}, -1.2, 1.2, 1);
+  for (const int64_t side : {1, 10}) {
+    const Tensor background = testing::uniform({3, 3, side, side}, 0, 1, 2);
+    Tensor x = testing::uniform({3, 4, 9, 13}, 0, 1, 3).requires_grad_(true);
+    Tensor y = x.detach().clone().requires_grad_(true);
+    const Tensor ours = place_over(x, maps, background, 10);
+    const Tensor reference = reference_placement(y, maps, background, 10);
+    EXPECT_LT(value((ours - reference).abs().max()), 1e-12);
+    ours.square().sum().backward();
+    reference.square().sum().backward();
+    EXPECT_LT(value((x.grad() - y.grad()).abs().max()), 1e-12);
+    const auto loss = [&](const std::vector<Tensor>& in) {
+      return place_over(in[0], maps, background, 10).square().sum();
+    };
+    EXPECT_LT(testing::gradient_error(loss, {x.detach()}), 1e-7);
+  }
+}
+
+TEST(GaussianBlur, EqualsTheTensorReferenceAndItsGradient) {
+  for (const double sigma : {0.3, 1.0, 2.6}) {
+    const auto radius = static_cast<int64_t>(std::ceil(2 * sigma));
+    const Tensor line =
+        (-at::arange(-radius, radius + 1, at::kDouble).square() / (2 * sigma * sigma)).exp();
+    const Tensor kernel =
+        (line.unsqueeze(1) * line / line.sum().square()).unsqueeze(0).unsqueeze(0);
+    Tensor x = testing::uniform({2, 3, 7, 12}, 0, 1, 3).requires_grad_(true);
+    Tensor y = x.detach().clone().requires_grad_(true);
+    const Tensor ours = gaussian_blur(x, sigma);
+    const Tensor padded =
+        at::replication_pad2d(y.reshape({6, 1, 7, 12}), {radius, radius, radius, radius});
+    const Tensor reference = at::conv2d(padded, kernel).view({2, 3, 7, 12});
+    EXPECT_LT(value((ours - reference).abs().max()), 1e-12);
+    ours.square().sum().backward();
+    reference.square().sum().backward();
+    EXPECT_LT(value((x.grad() - y.grad()).abs().max()), 1e-12);
+    const auto loss = [&](const std::vector<Tensor>& in) {
+      return gaussian_blur(in[0], sigma).square().sum();
+    };
+    EXPECT_LT(testing::gradient_error(loss, {x.detach()}), 1e-7);
+  }
 }
 
 // ---- JPEG ---------------------------------------------------------------------------------

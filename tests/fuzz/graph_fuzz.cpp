@@ -66,6 +66,7 @@ std::string pack(const std::array<std::string_view, 3>& texts) {
 
 /// What load does with a graph before it runs.
 void prepare(Graph graph) {
+  tt3d::model::fold_paddings(graph);
   if (tt3d::model::can_use_channels_last(graph)) tt3d::model::use_channels_last(graph);
   tt3d::model::fold_batch_norms(graph, at::MemoryFormat::ChannelsLast);
   tt3d::model::simplify_batch_norms(graph);

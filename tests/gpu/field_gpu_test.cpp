@@ -39,10 +39,7 @@ TEST_F(FieldOnGpu, RandomTensorsHaveTheSameBytes) {
   EXPECT_TRUE(at::equal(uniform_tensor({1003}, key, cpu), uniform_tensor({1003}, key, gpu).cpu()));
   EXPECT_TRUE(at::equal(uniform_tensor({1003}, -2, 3, key, cpu),
                         uniform_tensor({1003}, -2, 3, key, gpu).cpu()));
-  for (const uint64_t first : {0, 1, 2, 3, 7}) {
-    EXPECT_TRUE(at::equal(noise_tensor({1003}, key, first, cpu),
-                          noise_tensor({1003}, key, first, gpu).cpu()));
-  }
+  EXPECT_TRUE(at::equal(noise_tensor({1003}, key, cpu), noise_tensor({1003}, key, gpu).cpu()));
 }
 
 TEST_F(FieldOnGpu, HashEncodeAndItsGradients) {

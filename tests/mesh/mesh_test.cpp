@@ -229,6 +229,20 @@ TEST(Regularizer, LengthOfEdgesByHand) {
               1e-6);
 }
 
+TEST(Regularizer, ChamferEqualsTheSearchOfAllPairs) {
+  const TriMesh mesh = as_mesh(testing::sphere(3));
+  const MeshRegularizer regularizer(mesh);
+  for (const double size : {0.001, 0.02, 0.1}) {
+    const Tensor shift = testing::uniform(mesh.vertices.sizes(), -size, size, 9).to(at::kFloat);
+    const Tensor moved = mesh.vertices + shift * (shift.select(1, 0).unsqueeze(1) > 0);
+    const Tensor distance = at::cdist(moved.to(at::kDouble), mesh.vertices.to(at::kDouble));
+    const double expected = (std::get<0>(distance.min(1)).square().mean() +
+                             std::get<0>(distance.min(0)).square().mean())
+                                .item<double>();
+    EXPECT_NEAR(regularizer.chamfer(moved).item<double>(), expected, 1e-3 * expected) << size;
+  }
+}
+
 TEST(Regularizer, ChamferSearchesWhenVerticesTravelFar) {
   const TriMesh mesh = as_mesh(testing::sphere(2));
   const MeshRegularizer regularizer(mesh);

@@ -77,10 +77,6 @@ class Random {
   int64_t index(int64_t n);
   /// The stream from its beginning, for kernels.
   [[nodiscard]] RandomKey key() const { return key_; }
-  /// Words drawn so far.
-  [[nodiscard]] uint64_t position() const {
-    return 4 * counter_ + static_cast<uint64_t>(used_) - 4;
-  }
 
  private:
   RandomKey key_;

@@ -14,8 +14,8 @@ namespace tt3d {
 [[nodiscard]] at::Tensor uniform_tensor(at::IntArrayRef shape, double low, double high,
                                         const RandomKey& key, at::Device device);
 /// Mean 0 and variance 1, near enough to normal: sums of four uniform numbers of 16 bits. Element i
-/// is made of the stream's words first + 2 i and the next one.
-[[nodiscard]] at::Tensor noise_tensor(at::IntArrayRef shape, const RandomKey& key, uint64_t first,
+/// is made of the stream's words 2 i and 2 i + 1.
+[[nodiscard]] at::Tensor noise_tensor(at::IntArrayRef shape, const RandomKey& key,
                                       at::Device device);
 
 }  // namespace tt3d

@@ -4,6 +4,8 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <memory>
+#include <utility>
 #include <vector>
 
 #include "tt3d/capture.h"
@@ -119,10 +121,15 @@ class MeshRegularizer {
   [[nodiscard]] at::Tensor chamfer(const at::Tensor& vertices) const;
 
  private:
+  struct RestTree;
+  [[nodiscard]] std::pair<at::Tensor, at::Tensor> nearest_both_ways(const at::Tensor& moved,
+                                                                    const at::Tensor& offset) const;
+
   at::Tensor rest_, edges_;
   at::Tensor weights_;  ///< [E,1] of the edges; undefined where all are 1
   at::Tensor degree_;   ///< [V,1] sum of the weights around each vertex
   at::Tensor spacing_;  ///< [V] distance of each rest vertex to the nearest other one
+  std::shared_ptr<const RestTree> tree_;
 };
 
 // ---- Stages -------------------------------------------------------------------------------
