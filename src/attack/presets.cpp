@@ -100,7 +100,7 @@ void triplanar(AttackOptions& o) {
   o.variation_weight = 1e-3;  // their smoothness
 }
 
-/// What carried furthest on the hen (decision 10): small even steps, and the object as large in the
+/// What carried furthest on the hen (decision 11): small even steps, and the object as large in the
 /// frame as a user's crop shows it. Give it several surrogates.
 void strong(AttackOptions& o) {
   o.objective = "logit";
