@@ -276,7 +276,7 @@ def test_an_asset_takes_the_place_of_a_capture(finished: Path, tmp_path: Path, m
     assert done.returncode == 0, done.stderr
     done = tt3d("bake", run)
     assert done.returncode == 0, done.stderr
-    # In the asset's own coordinates, which one steps of an attack hardly move.
+    # In the asset's own coordinates; three steps hardly move a vertex.
     before, after = span(finished / "out/asset/clean.obj"), span(run / "asset/adversarial.obj")
     assert after == pytest.approx(before, abs=0.02)
     one_line(tt3d("report", run), 2, "capture")
