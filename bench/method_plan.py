@@ -68,8 +68,8 @@ def _methods(methods: tuple[str, ...], objects: tuple[str, ...], target: str) ->
 def _leave_one_out(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -> list[Cell]:
     return [
         Cell("leave-one-out", f"{m} without {left_out}", m, o, target, white_box(left_out))
-        for left_out in ARCHITECTURES
         for o in objects
+        for left_out in ARCHITECTURES
         for m in methods
     ]
 

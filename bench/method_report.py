@@ -137,7 +137,8 @@ class Results:
                 attacks = len(columns[name])
                 line.append(f"{percent_with_interval(columns[name], models)}, {attacks} attacks")
             every = [s for scores in columns.values() for s in scores]
-            line += [f"{100 * np.mean(means):.0f}", f"{np.mean([s.psnr for s in every]):.1f}"]
+            of = "" if len(means) == len(ARCHITECTURES) else f" of {len(means)}"
+            line += [f"{100 * np.mean(means):.0f}{of}", f"{np.mean([s.psnr for s in every]):.1f}"]
             lines.append(line)
         return _table(["method", *ARCHITECTURES, "mean", "PSNR"], lines)
 
@@ -226,10 +227,9 @@ INTRODUCTION = """# Results
 
 Written by `scripts/method-table`; run it again to go on or after a change. Every attack renders
 {budget} pictures of 224 pixels and shows each to each of its surrogates; all else is the preset's
-([attack](attack.md#methods)). Success in %, on 100 held-out `dome` views of the
-exported GLB on white, a mean over the row's attacks; \\* marks models that were attacked. The
-interval (95 %) is a bootstrap clustered by object; with three objects it is wide, and with one it
-knows the views alone.
+([attack](attack.md#methods)). Success in %, on 100 held-out `dome` views of the exported GLB on
+white, a mean over the row's attacks; \\* marks models that were attacked. The interval (95 %) is a
+bootstrap clustered by object; with three objects it is wide, and with one it knows the views alone.
 """
 METHODS = """## Methods
 
