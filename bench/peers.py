@@ -167,7 +167,7 @@ def mitsuba_step(mesh: dict[str, np.ndarray], folder: Path) -> Callable[[], None
         },
     })  # fmt: skip
     parameters = mitsuba.traverse(scene)
-    key = next(k for k in parameters.keys() if k.endswith("radiance.data"))
+    key = next(k for k in parameters.keys() if k.endswith("radiance.data"))  # noqa: SIM118
 
     def step() -> None:
         drjit.enable_grad(parameters[key])
