@@ -28,7 +28,14 @@ OTHERS = (
     "repeated", "triplanar",
 )  # fmt: skip
 BETAS = (100, 1000, 10000)
-VIEWS_PER_STEP = 6
+
+#: Views a step: the program's default, and where the preset has another.
+VIEWS_A_STEP = {"strong": 3}
+
+
+def views_a_step(method: str) -> int:
+    """Return how many pictures a step of the method renders."""
+    return VIEWS_A_STEP.get(method, 6)
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,7 @@ class Cell:
 
 
 def white_box(left_out: str) -> tuple[str, ...]:
-    """Return a model of each architecture but one."""
+    """Return a model of each architecture but one; of all where none is named."""
     return tuple(family[0] for name, family in ARCHITECTURES.items() if name != left_out)
 
 

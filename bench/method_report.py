@@ -225,8 +225,8 @@ def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
 INTRODUCTION = """# Results
 
 Written by `scripts/method-table`; run it again to go on or after a change. Every attack renders
-{budget} pictures of 224 pixels, six a step, and shows each to each of its surrogates; all else is
-the preset's ([attack](attack.md#methods)). Success in %, on 100 held-out `dome` views of the
+{budget} pictures of 224 pixels and shows each to each of its surrogates; all else is the preset's
+([attack](attack.md#methods)). Success in %, on 100 held-out `dome` views of the
 exported GLB on white, a mean over the row's attacks; \\* marks models that were attacked. The
 interval (95 %) is a bootstrap clustered by object; with three objects it is wide, and with one it
 knows the views alone.

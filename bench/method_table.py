@@ -23,9 +23,9 @@ from method_plan import (
     OTHERS,
     ROOT,
     VICTIMS,
-    VIEWS_PER_STEP,
     Cell,
     plan,
+    views_a_step,
 )
 
 SEED = 1
@@ -57,8 +57,8 @@ class Table:
         folder = self.folder(cell)
         self._share(self._object(cell.obj), folder)
         settings = {
-            "attack.steps": str(self.budget // VIEWS_PER_STEP),
-            "attack.views_per_step": str(VIEWS_PER_STEP),
+            "attack.steps": str(self.budget // views_a_step(cell.method)),
+            "attack.views_per_step": str(views_a_step(cell.method)),
             "bake.resolution": "1024",
             **cell.settings,
         }
@@ -113,8 +113,8 @@ def parse_arguments() -> argparse.Namespace:
                         help="seconds after which no further attack is begun")  # fmt: skip
     parser.add_argument("--report-only", action="store_true", help="run nothing, write the page")
     options = parser.parse_args()
-    if options.budget % VIEWS_PER_STEP:
-        parser.error(f"--budget: expected a multiple of {VIEWS_PER_STEP}, the views a step")
+    if options.budget % 6:
+        parser.error("--budget: expected a multiple of 6, the views a step")
     return options
 
 

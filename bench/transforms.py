@@ -1,8 +1,11 @@
 """docs/images/transforms.jpg: what each transform does, by strips of examples/show_transforms.
 
 .venv/bin/python bench/transforms.py build/examples/show_transforms ASSET.glb [PHOTOGRAPHS]
+
+Without photographs, drawn patterns stand in for them.
 """
 
+import math
 import subprocess
 import sys
 import tempfile
@@ -16,7 +19,7 @@ ORDER = (
     "photograph_background", "brightness", "contrast", "saturation", "blur", "resolution", "noise",
     "jpeg", "mix", "diversity",
 )  # fmt: skip
-ROW, LABEL, SHARE = 64, 150, 2
+ROW, LABEL, SHARE = 64, 176, 2
 
 
 def sheet(folder: Path) -> Image.Image:
@@ -34,12 +37,30 @@ def sheet(folder: Path) -> Image.Image:
     return page
 
 
+def draw_patterns(folder: Path) -> str:
+    """Draw what stands in for photographs: waves of other colours, directions and widths."""
+    folder.mkdir()
+    for i in range(6):
+        picture = Image.new("RGB", (160, 160))
+        angle, width = 0.5 + i, 6 + 5 * i
+        for x in range(160):
+            for y in range(160):
+                wave = math.sin((x * math.cos(angle) + y * math.sin(angle)) / width)
+                tone = [
+                    128 + 100 * wave * math.sin(i + k) + (x - 80) * (k - 1) / 3 for k in range(3)
+                ]
+                picture.putpixel((x, y), tuple(round(t) for t in tone))
+        picture.save(folder / f"{i}.png")
+    return str(folder)
+
+
 def main() -> None:
     """Run the command line."""
     if len(sys.argv) not in (3, 4):
         sys.exit(__doc__)
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.argv[1], sys.argv[2], folder, *sys.argv[3:]], check=True)
+        behind = sys.argv[3] if len(sys.argv) > 3 else draw_patterns(Path(folder) / "patterns")
+        subprocess.run([sys.argv[1], sys.argv[2], folder, behind], check=True)
         sheet(Path(folder)).save(PAGE, quality=88)
     print(PAGE)
 

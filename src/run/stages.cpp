@@ -375,9 +375,6 @@ std::vector<ReportView> report_views(const fs::path& run, const json& record, in
 }  // namespace
 
 void Run::run_report(Progress& progress) {
-  if (!config_.asset.empty()) {
-    throw InputError(folder_, "begins with an asset, a report needs a capture; read eval/ instead");
-  }
   progress.begin("report", 1, 0);
   ReportInput input;
   input.record_json = read_file(folder_ / "eval" / "builtin.json");

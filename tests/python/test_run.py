@@ -7,10 +7,14 @@ import random
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
+from safetensors.numpy import load_file
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "build/release/tt3d"
@@ -243,6 +247,97 @@ def test_untargeted_needs_the_true_class_and_no_target(finished: Path, tmp_path:
     attack = ["attack", run, "--surrogate", MODEL, "--set", "attack.goal=untargeted"]
     one_line(tt3d(*attack, "--set", "evaluate.true_class=''"), 2, "evaluate.true_class")
     assert tt3d(*attack, "--true-class", "cup").returncode == 0
+
+
+QUICK = [
+    word
+    for setting in (
+        "attack.steps=3", "attack.views_per_step=2", "attack.image_size=48", "bake.resolution=256",
+        "attack.texture_size=64", "attack.tile_size=16", "field.appearance.finest=128",
+        "field.appearance.log2_size=13",
+    )
+    for word in ("--set", setting)
+]  # fmt: skip
+
+
+def span(path: Path) -> list[float]:
+    """Lowest and highest x, y and z of an OBJ file's vertices."""
+    lines = [line.split()[1:4] for line in path.read_text().splitlines() if line[:2] == "v "]
+    axes = list(zip(*(map(float, line) for line in lines), strict=True))
+    return [edge for axis in axes for edge in (min(axis), max(axis))]
+
+
+@pytest.mark.parametrize("method", ["dual", "mesh", "texture", "physical"])
+def test_an_asset_takes_the_place_of_a_capture(finished: Path, tmp_path: Path, method: str) -> None:
+    asset, run = tmp_path / "thing.glb", tmp_path / "run"
+    shutil.copy(finished / "out/asset/clean.glb", asset)
+    attack = ["attack", run, "--surrogate", MODEL, "--target", "teapot", *QUICK]
+    done = tt3d(*attack, "--asset", asset, "--method", method)
+    assert done.returncode == 0, done.stderr
+    done = tt3d("bake", run)
+    assert done.returncode == 0, done.stderr
+    # In the asset's own coordinates; three steps hardly move a vertex.
+    before, after = span(finished / "out/asset/clean.obj"), span(run / "asset/adversarial.obj")
+    assert after == pytest.approx(before, abs=0.02)
+    one_line(tt3d("report", run), 2, "capture")
+    shutil.copy(asset, tmp_path / "other.glb")
+    one_line(tt3d(*attack, "--asset", tmp_path / "other.glb"), 2, "another object")
+
+
+def test_one_tile_for_two_objects(finished: Path, tmp_path: Path) -> None:
+    runs = [shutil.copytree(finished / "out", tmp_path / name) for name in ("a", "b")]
+    attack = ["attack", runs[0], "--surrogate", MODEL, "--target", "teapot", *QUICK]
+    done = tt3d(*attack, "--method", "triplanar", "--also", runs[1])
+    assert done.returncode == 0, done.stderr
+    tiles = []
+    for run in runs:
+        tiles.append(load_file(run / "attack/attack.safetensors")["tile"])
+        assert (
+            json.loads((run / "run.json").read_text())["config"]["attack.method"] == '"triplanar"'
+        )
+        assert tt3d("bake", run).returncode == 0
+    assert (tiles[0] == tiles[1]).all()
+    one_line(tt3d(*attack, "--method", "dual", "--also", runs[1]), 2, "attack.also")
+    one_line(tt3d(*attack, "--also", tmp_path / "nothing"), 2, "nothing")
+
+
+def test_a_drawn_mask_keeps_the_rest_of_the_texture(finished: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(finished / "out", tmp_path / "out")
+    clean = Image.open(run / "asset/clean.png")
+    mask = Image.new("L", clean.size, 0)
+    mask.paste(255, (0, 0, clean.width // 2, clean.height))
+    mask.save(tmp_path / "mask.png")
+    attack = ["attack", run, "--surrogate", MODEL, "--target", "teapot", *QUICK]
+    done = tt3d(*attack, "--method", "sticker", "--sticker-mask", tmp_path / "mask.png")
+    assert done.returncode == 0, done.stderr
+    assert tt3d("bake", run).returncode == 0
+    before = np.asarray(clean).astype(int)
+    change = np.abs(np.asarray(Image.open(run / "asset/adversarial.png")).astype(int) - before)
+    # Triangles cross the line; a tenth of the width beyond it, none does.
+    assert change[:, : clean.width // 2].max() > 0
+    assert change[:, clean.width * 6 // 10 :].max() == 0
+
+
+def test_curves_become_event_files(finished: Path, tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    run = shutil.copytree(finished / "out", tmp_path / "out")
+    command = [sys.executable, "-m", "tt3d_tools.tensorboard", run]
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "python")}
+    subprocess.run(command, check=True, env=environment, capture_output=True, timeout=120)
+    events = EventAccumulator(str(run / "attack/tensorboard"))
+    events.Reload()
+    lines = (run / "attack/curves.csv").read_text().splitlines()
+    loss = lines[0].split(",").index("loss")
+    written = [(e.step, e.value) for e in events.Scalars("curves/loss")]
+    assert written == [
+        (int(row[0]), pytest.approx(float(row[loss]), rel=1e-5))
+        for row in (line.split(",") for line in lines[1:])
+    ]
+    failed = subprocess.run([*command[:3], tmp_path], env=environment, capture_output=True,
+                            text=True, timeout=120, check=False)  # fmt: skip
+    assert failed.returncode == 2 and "curves.csv" in failed.stderr
 
 
 def test_attack_lists_its_methods() -> None:

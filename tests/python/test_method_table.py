@@ -1,0 +1,87 @@
+"""The table of methods: its plan, its figures, and the page of what is finished."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "bench"))
+
+np = pytest.importorskip("numpy")
+
+import method_report  # noqa: E402
+from method_plan import ARCHITECTURES, METHODS, OBJECTS, OTHERS, Cell, plan  # noqa: E402
+from method_table import Table  # noqa: E402
+
+ALL = (METHODS + OTHERS, tuple(OBJECTS))
+
+
+def finish(folder: Path, asr: dict[str, float], budget: int = 1200) -> None:
+    """Leaves what a finished attack leaves."""
+    record = {
+        "victims": [{"name": name, "asr": value} for name, value in asr.items()],
+        "views": {"count": 100},
+        "naturalness": {"psnr": 22.0, "ssim": 0.9},
+    }
+    (folder / "eval").mkdir(parents=True)
+    (folder / "eval/builtin.json").write_text(json.dumps(record))
+    config = {"attack.steps": str(budget // 6), "attack.views_per_step": "6"}
+    (folder / "run.json").write_text(json.dumps({"config": config}))
+
+
+def test_the_plan_has_every_cell_once_and_nothing_leaks() -> None:
+    cells = plan(*ALL)
+    assert len({c.name for c in cells}) == len(cells)
+    assert {c.obj for c in cells} == set(OBJECTS)
+    for cell in (c for c in cells if c.table == "leave-one-out"):
+        left_out = cell.row.split(" without ")[1]
+        assert not set(cell.surrogates) & set(ARCHITECTURES[left_out])
+        assert len(cell.surrogates) == len(ARCHITECTURES) - 1
+
+
+def test_only_the_presets_and_objects_that_were_asked_for() -> None:
+    cells = plan(("mesh", "dual"), ("chicken",))
+    assert {c.obj for c in cells} == {"chicken"}
+    assert {c.method for c in cells} == {"mesh", "dual"}
+
+
+def test_another_budget_is_another_attack(tmp_path: Path) -> None:
+    cell = plan(("dual",), ("chicken",))[0]
+    table = Table(tmp_path, tmp_path / "tt3d", 1200)
+    assert not table.finished(cell)
+    finish(table.folder(cell), dict.fromkeys(method_report.VICTIMS, 0.5))
+    assert table.finished(cell)
+    assert not Table(tmp_path, tmp_path / "tt3d", 600).finished(cell)
+
+
+def score(obj: str, share: float) -> method_report.Score:
+    return method_report.Score(obj, {"a": share}, 100, 22.0, 0.9)
+
+
+def test_the_interval_is_wide_where_objects_differ() -> None:
+    same = method_report.interval([score(o, 0.5) for o in "xyz"], ("a",))
+    apart = method_report.interval(
+        [score(o, s) for o, s in zip("xyz", (0.1, 0.5, 0.9), strict=True)], ("a",)
+    )
+    assert same[0] == pytest.approx(0.5 - 1.96 * 0.5 / 300**0.5, abs=0.02)
+    assert apart[0] < 0.2 and apart[1] > 0.8
+    assert method_report.interval([score("x", 0.0)], ("a",)) == (0, 0)
+
+
+def test_the_page_marks_what_was_attacked_and_says_what_was_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(method_report, "IMAGES", tmp_path)
+    cells = plan(("texture", "strong"), ("chicken",))
+    first, left_out = cells[0], next(c for c in cells if c.table == "leave-one-out")
+    done: dict[Cell, Path] = {}
+    for cell, share in ((first, 0.25), (left_out, 0.75)):
+        done[cell] = tmp_path / cell.name
+        finish(done[cell], dict.fromkeys(method_report.VICTIMS, share))
+    page = method_report.page(done, [c for c in cells if c not in done], 1200)
+    assert "| `texture` | 1 | 25\\* | 25 | 25 | 25 | 25 | 25 | 25 (" in page
+    assert "| `strong` | 75 (" in page
+    assert f"{len(cells) - 2} attacks of the plan were not run" in page
