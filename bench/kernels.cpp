@@ -6,11 +6,13 @@
 #include <ATen/Parallel.h>
 #include <benchmark/benchmark.h>
 
+#include <cmath>
 #include <cstdlib>
 
 #include "field/field_reference.h"
 #include "raster/raster_reference.h"
 #include "tt3d/field.h"
+#include "tt3d/kernel.h"
 #include "tt3d/raster.h"
 #include "tt3d/tensor_file.h"
 
@@ -63,7 +65,7 @@ void textured_mesh(benchmark::State& state) {
 }
 BENCHMARK(textured_mesh)->Unit(benchmark::kMillisecond)->UseRealTime();
 
-// ---- Rasterizer against plain tensor operations, on a mesh these can hold in memory ----------
+// ---- Growth: the same with other sizes --------------------------------------------------------
 
 /// A wavy sheet of 2 n^2 triangles before the camera, [1,V,4] and [F,3].
 std::pair<Tensor, Tensor> sheet(int64_t n) {
@@ -77,6 +79,105 @@ std::pair<Tensor, Tensor> sheet(int64_t n) {
   const Tensor second = at::stack({corner, corner + n + 2, corner + n + 1}, 1);
   return {clip, at::cat({first, second}).to(at::kInt).contiguous()};
 }
+
+/// A sheet of 2 side^2 triangles in `size` pixels a side, rasterized, coloured and antialiased,
+/// with gradients.
+void sheet_step(benchmark::State& state, int64_t side, int64_t size) {
+  const auto [clip_of_sheet, faces] = sheet(side);
+  const Tensor clip = leaf(clip_of_sheet), colors = leaf(at::rand({clip.size(1), 3}));
+  const Tensor twins = edge_twins(faces);
+  for (auto _ : state) {
+    const Tensor rast = rasterize(clip, faces, size, size);
+    const Tensor picture = interpolate(colors, rast, faces);
+    antialias(picture, rast, clip, faces, twins).square().sum().backward();
+    clip.mutable_grad().reset();
+    colors.mutable_grad().reset();
+  }
+}
+void growth_pixels(benchmark::State& state) { sheet_step(state, 158, state.range(0)); }
+BENCHMARK(growth_pixels)
+    ->RangeMultiplier(2)
+    ->Range(128, 2048)
+    ->Unit(benchmark::kMillisecond)
+    ->UseRealTime();
+void growth_faces(benchmark::State& state) {
+  sheet_step(state, static_cast<int64_t>(std::sqrt(state.range(0) / 2)), 400);
+}
+BENCHMARK(growth_faces)
+    ->RangeMultiplier(4)
+    ->Range(1 << 10, 1 << 20)
+    ->Unit(benchmark::kMillisecond)
+    ->UseRealTime();
+
+/// Hash encoding and MLP as an attack step has them, forward and backward.
+void growth_points(benchmark::State& state) {
+  const HashGridShape shape{16, 16, 2048, 19, 2};
+  const Tensor x = at::rand({state.range(0), 3}) * 2 - 1;
+  const Tensor table = leaf(at::rand({shape.entries(), 2}));
+  const std::vector<Tensor> weights = {leaf(at::rand({64, 32})), leaf(at::rand({64, 64})),
+                                       leaf(at::rand({3, 64}))};
+  for (auto _ : state) {
+    mlp(hash_encode(x, table, shape), weights).sum().backward();
+    table.mutable_grad().reset();
+  }
+}
+BENCHMARK(growth_points)
+    ->RangeMultiplier(4)
+    ->Range(1 << 12, 1 << 20)
+    ->Unit(benchmark::kMillisecond)
+    ->UseRealTime();
+
+// ---- The machine's limits -----------------------------------------------------------------------
+
+/// a = b + s c over arrays far larger than any cache.
+void roof_bandwidth(benchmark::State& state) {
+  constexpr int64_t kCount = int64_t{1} << 25;
+  const Tensor a = at::zeros({kCount}), b = at::ones({kCount}), c = at::ones({kCount});
+  for (auto _ : state) at::add_out(const_cast<Tensor&>(a), b, c, 0.5);
+  state.SetBytesProcessed(state.iterations() * kCount * 12);
+}
+BENCHMARK(roof_bandwidth)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+typedef float Lanes __attribute__((vector_size(64)));
+
+/// Independent multiply-adds in registers; returns something that depends on all of them.
+TT3D_CPU_LOOP float multiply_add_rounds(int64_t rounds) {
+  Lanes sums[8] = {};
+  const Lanes factor = sums[0] + 0.999F, term = sums[0] + 0.001F;
+  for (int64_t i = 0; i < rounds; ++i) {
+    for (Lanes& sum : sums) sum = sum * factor + term;
+  }
+  Lanes all = sums[0];
+  for (int k = 1; k < 8; ++k) all += sums[k];
+  return all[0];
+}
+
+void roof_multiply_adds(benchmark::State& state) {
+  constexpr int64_t kRounds = 1 << 20;
+  const int64_t threads = at::get_num_threads();
+  for (auto _ : state) {
+    at::parallel_for(0, threads, 1, [](int64_t first, int64_t last) {
+      for (int64_t i = first; i < last; ++i) benchmark::DoNotOptimize(multiply_add_rounds(kRounds));
+    });
+  }
+  state.SetItemsProcessed(state.iterations() * threads * kRounds * 8 * 16);
+}
+BENCHMARK(roof_multiply_adds)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+/// The colour network of an attack: 2^17 points, 35-64-64-6, forward and backward.
+void mlp_ours(benchmark::State& state) {
+  const Tensor x = leaf(at::rand({35, int64_t{1} << 17}));
+  const std::vector<Tensor> weights = {leaf(at::rand({64, 35})), leaf(at::rand({64, 64})),
+                                       leaf(at::rand({6, 64}))};
+  const Tensor weight = at::rand({6, x.size(1)});
+  for (auto _ : state) {
+    mlp(x, weights).backward(weight);
+    x.mutable_grad().reset();
+  }
+}
+BENCHMARK(mlp_ours)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+// ---- Rasterizer against plain tensor operations, on a mesh these can hold in memory ----------
 
 constexpr int64_t kSheet = 22, kSheetPixels = 128;  // 968 triangles
 

@@ -11,7 +11,6 @@ import argparse
 import json
 import os
 import platform
-import re
 import statistics
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from page import write_section
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "python"))
@@ -33,7 +33,6 @@ NAMES = (
 )  # fmt: skip
 PACKAGES = ROOT / "build/bench/models"
 BUILD = ROOT / "build/release"
-PAGE = ROOT / "docs/benchmarks.md"
 WARM_UP = 2
 LOADS = 7
 
@@ -155,14 +154,6 @@ def section(rows: list[Row], load: dict[str, float], options: argparse.Namespace
     return "\n".join(lines)
 
 
-def rewrite_page(text: str) -> None:
-    """Replace what is between the marks in the page."""
-    page = PAGE.read_text(encoding="utf-8")
-    begin, end = "<!-- bench models -->\n", "\n<!-- end of bench models -->"
-    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
-    PAGE.write_text(pattern.sub(lambda _: begin + text + end, page), encoding="utf-8")
-
-
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -179,7 +170,7 @@ def main() -> None:
     text = section(rows, loading(), options)
     print(text)
     if tuple(options.names) == NAMES:
-        rewrite_page(text)
+        write_section("models", text)
 
 
 if __name__ == "__main__":

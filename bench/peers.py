@@ -1,10 +1,12 @@
-"""Renders one mesh with tt3d and DEODR, forward and backward, in turns, and prints the ratios as a
-Markdown table; then our kernels against plain tensor operations.
+"""Renderers and kernels against their peers, forward and backward, in turns; and against what the
+machine can do at most.
 
-Both draw the same triangles from the same camera at 400 x 400. tt3d runs as the program
-kernel_bench, the peer in this process; rounds alternate, and a ratio is the median over rounds.
+DEODR draws coloured faces, Mitsuba 3 (llvm_ad_rgb) a textured emitter, both the same triangles as
+tt3d from the same camera at 400 x 400; a rasteriser and a hash encoding are compared with plain
+tensor operations. tt3d runs as the program kernel_bench, the peer in a process of its own; rounds
+alternate, and a ratio is the median over rounds. Rewrites its section of docs/benchmarks.md.
 
-    scripts/bench peers
+    scripts/bench peers [--rounds 7] [--threads N]
 """
 
 from __future__ import annotations
@@ -18,9 +20,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from page import write_section
 from safetensors.numpy import save_file
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -117,13 +121,185 @@ def deodr_step(mesh: dict[str, np.ndarray]) -> Callable[[], None]:
     return step
 
 
-def compare(label: str, ours: Callable[[], float], peer: Callable[[], float], rounds: int) -> str:
+def find_llvm() -> str | None:
+    """Return the LLVM library that Mitsuba compiles with; older ones than 17 die on AVX-512."""
+    if chosen := os.environ.get("DRJIT_LIBLLVM_PATH"):
+        return chosen
+    found = sorted(Path("/usr/lib/x86_64-linux-gnu").glob("libLLVM.so.*"))
+    return str(found[-1]) if found else None
+
+
+def mitsuba_step(mesh: dict[str, np.ndarray], folder: Path) -> Callable[[], None] | None:
+    """Return a step of Mitsuba: what a textured emitter shows, gradient to the texture."""
+    library = find_llvm()
+    if library is None:
+        print("peers: no LLVM for Mitsuba, run: apt-get install libllvm19", file=sys.stderr)
+        return None
+    os.environ["DRJIT_LIBLLVM_PATH"] = library
+    import drjit
+    import mitsuba
+
+    mitsuba.set_variant("llvm_ad_rgb")
+    drjit.set_thread_count(1)
+    count = len(mesh["vertices"])
+    surface = mitsuba.Mesh("m", count, len(mesh["faces"]), has_vertex_texcoords=True)
+    values = mitsuba.traverse(surface)
+    values["vertex_positions"] = mesh["vertices"].ravel()
+    values["faces"] = mesh["faces"].ravel().astype(np.uint32)
+    values["vertex_texcoords"] = mesh["uvs"].ravel()
+    values.update()
+    surface.write_ply(str(folder / "mesh.ply"))
+    texels = np.random.default_rng(1).random((512, 512, 3), dtype=np.float32)
+    looks = mitsuba.ScalarTransform4f().look_at([0, -DISTANCE, 0], [0, 0, 0], [0, 0, 1])
+    scene = mitsuba.load_dict({
+        "type": "scene",
+        "integrator": {"type": "prb", "max_depth": 1},  # emission alone
+        "sensor": {
+            "type": "perspective", "fov": float(np.rad2deg(FIELD_OF_VIEW)), "to_world": looks,
+            "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}},
+            "sampler": {"type": "independent", "sample_count": 1},
+        },
+        "object": {
+            "type": "ply", "filename": str(folder / "mesh.ply"),
+            "emitter": {"type": "area", "radiance": {
+                "type": "bitmap", "bitmap": mitsuba.Bitmap(texels), "raw": True,
+            }},
+        },
+    })  # fmt: skip
+    parameters = mitsuba.traverse(scene)
+    key = next(k for k in parameters.keys() if k.endswith("radiance.data"))  # noqa: SIM118
+
+    def step() -> None:
+        drjit.enable_grad(parameters[key])
+        parameters.update()
+        picture = mitsuba.render(scene, parameters, spp=1)
+        drjit.backward(drjit.sum(drjit.square(picture), axis=None))
+        drjit.eval(drjit.grad(parameters[key]))
+        drjit.sync_thread()
+
+    if not 0.1 < (np.array(mitsuba.render(scene, spp=1)).sum(2) > 0).mean() < 0.9:
+        sys.exit("peers: Mitsuba does not see the object")
+    return step
+
+
+# ---- The machine's limits ---------------------------------------------------------------------
+
+PIXELS = SIZE * SIZE
+POINTS = 1 << 18
+#: What a step cannot do without: bytes that every operator reads or writes once (rast 16, colours
+#: 12 and UVs 8 bytes a pixel, derivatives 16), or multiply-adds.
+WORK = {
+    "colored_mesh": ("bytes", 236 * PIXELS),
+    "textured_mesh": ("bytes", 180 * PIXELS + 2 * 12 * 512 * 512),
+    # Eight entries of 8 bytes a point and level, read forward, read and written backward.
+    "hash_encode_ours": ("bytes", 3 * 64 * 16 * POINTS + 2 * 4 * 32 * POINTS),
+    "mlp_ours": ("multiply-adds", 3 * (35 * 64 + 64 * 64 + 64 * 6) * (1 << 17)),
+}
+LEFT = {
+    "colored_mesh": "triangles of a few pixels: setting one up costs more than its pixels",
+    "textured_mesh": "the same, and texels that lie apart",
+    "hash_encode_ours": "a cache line of 64 bytes is fetched for each entry of 8",
+    "mlp_ours": "rows too short to hide loads; gradients of weights are summed over lanes",
+}  # fmt: skip
+
+
+def roofs(threads: int) -> dict[str, float]:
+    """Return the machine's bytes and multiply-adds a second, measured."""
+    done = subprocess.run(
+        [PROGRAM, "--benchmark_filter=^roof_", "--benchmark_format=json"],
+        env={**os.environ, "OMP_NUM_THREADS": str(threads)},
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    by_name = {b["name"].split("/")[0]: b for b in json.loads(done.stdout)["benchmarks"]}
+    return {
+        "bytes": by_name["roof_bandwidth"]["bytes_per_second"],
+        "multiply-adds": by_name["roof_multiply_adds"]["items_per_second"],
+    }
+
+
+@dataclass
+class Row:
+    """One comparison: median seconds of both sides, and the median ratio of the rounds."""
+
+    label: str
+    name: str
+    threads: int
+    ours: float
+    peer: float | None = None
+    ratio: float | None = None
+
+
+def compare(
+    label: str, name: str, threads: int, mesh: Path, peer: Callable[[], float], rounds: int
+) -> Row:
     """Return a row: rounds in turns, medians."""
-    pairs = [(ours(), peer()) for _ in range(rounds)]
+    pairs = [(time_of_ours(name, mesh, threads), peer()) for _ in range(rounds)]
     ratio = statistics.median(b / a for a, b in pairs)
-    ours_ms, peer_ms = (1000 * statistics.median(column) for column in zip(*pairs, strict=True))
     print(f"{label}: {ratio:.1f}x", file=sys.stderr, flush=True)
-    return f"| {label} | {ours_ms:.2f} | {peer_ms:.2f} | {ratio:.1f} |"
+    ours, theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
+    return Row(label, name, threads, ours, theirs, ratio)
+
+
+def measure(options: argparse.Namespace, folder: Path) -> list[Row]:
+    """Run all comparisons."""
+    mesh, path, every = bumpy_ball(), folder / "mesh.safetensors", options.threads
+    save_file({
+        "clip": clip_positions(mesh["vertices"]), "faces": mesh["faces"],
+        "colors": mesh["colors"], "uvs": mesh["uvs"],
+    }, path)  # fmt: skip
+
+    def row(label: str, name: str, threads: int, peer: Callable[[], float]) -> Row:
+        return compare(label, name, threads, path, peer, options.rounds)
+
+    deodr, rows = deodr_step(mesh), []
+    rows.append(
+        row("DEODR 0.2.3, 50,000 coloured faces", "colored_mesh", 1, lambda: time_of(deodr))
+    )
+    rows.append(row("the same, DEODR on one", "colored_mesh", every, lambda: time_of(deodr)))
+    mitsuba = mitsuba_step(mesh, folder)
+    if mitsuba:
+        label = "Mitsuba 3.9.1 llvm_ad_rgb, 50,000 textured faces"
+        rows.append(row(label, "textured_mesh", 1, lambda: time_of(mitsuba)))
+    for label, name, threads in [
+        ("the rasteriser in plain tensor operations, 968 faces, 128 x 128", "rasterize", 1),
+        ("hash encoding in plain tensor operations, 2^18 points", "hash_encode", 1),
+        ("the same", "hash_encode", every),
+    ]:
+        plain = f"{name}_plain_tensors"
+        rows.append(
+            row(label, f"{name}_ours", threads,
+                lambda plain=plain, n=threads: time_of_ours(plain, path, n))
+        )  # fmt: skip
+    for threads in (1, every):
+        seconds = statistics.median(
+            time_of_ours("mlp_ours", path, threads) for _ in range(options.rounds)
+        )
+        rows.append(
+            Row("the colour network, 2^17 points, 35-64-64-6", "mlp_ours", threads, seconds)
+        )
+    return rows
+
+
+def table(rows: list[Row], every: int) -> str:
+    """Return the rows and what they are of the machine's limits, as Markdown."""
+    limits = {threads: roofs(threads) for threads in (1, every)}
+    lines = [
+        "| against | threads | tt3d, ms | peer, ms | peer / tt3d | share of the roof |",
+        "|---|---|---|---|---|---|",
+    ]
+    for r in rows:
+        share = ""
+        if r.name in WORK:
+            unit, amount = WORK[r.name]
+            share = f"{100 * amount / r.ours / limits[r.threads][unit]:.0f} % of {unit}"
+        peer = f"{1000 * r.peer:.1f} | {r.ratio:.1f}" if r.peer else "| "
+        lines.append(f"| {r.label} | {r.threads} | {1000 * r.ours:.1f} | {peer} | {share} |")
+    lines += ["", "The roof, measured in the same run: " + "; ".join(
+        f"{n} thread{'s' if n > 1 else ''}: {v['bytes'] / 1e9:.1f} GB/s, "
+        f"{v['multiply-adds'] / 1e9:.0f} G multiply-adds/s" for n, v in limits.items()
+    ) + ". What is left:", ""]  # fmt: skip
+    lines += [f"- {name}: {why}." for name, why in LEFT.items()]
+    return "\n".join(lines)
 
 
 def main() -> None:
@@ -132,43 +308,14 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     options = parser.parse_args()
-    mesh = bumpy_ball()
-    rows = ["| against | tt3d, ms | peer, ms | peer / tt3d |", "|---|---|---|---|"]
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "mesh.safetensors"
-        save_file({
-            "clip": clip_positions(mesh["vertices"]), "faces": mesh["faces"],
-            "colors": mesh["colors"], "uvs": mesh["uvs"],
-        }, path)  # fmt: skip
-        deodr = deodr_step(mesh)
-        all_threads = options.threads
-        plan = [
-            ("DEODR 0.2.3, 50,000 coloured faces, one thread each", "colored_mesh", deodr, 1),
-            (f"DEODR 0.2.3 (one thread), tt3d {all_threads}", "colored_mesh", deodr, all_threads),
-        ]  # fmt: skip
-        for label, name, step, threads in plan:
-            rows.append(
-                compare(
-                    label,
-                    lambda name=name, threads=threads: time_of_ours(name, path, threads),
-                    lambda step=step: time_of(step),
-                    options.rounds,
-                )
-            )
-        for label, name, threads in [
-            ("the rasteriser in plain tensor operations, 968 faces, 128 x 128", "rasterize", 1),
-            ("hash encoding in plain tensor operations, 2^18 points, one thread", "hash_encode", 1),
-            (f"the same, {all_threads} threads", "hash_encode", all_threads),
-        ]:
-            rows.append(
-                compare(
-                    label,
-                    lambda name=name, n=threads: time_of_ours(f"{name}_ours", path, n),
-                    lambda name=name, n=threads: time_of_ours(f"{name}_plain_tensors", path, n),
-                    options.rounds,
-                )
-            )
-    print("\n".join(rows))
+        rows = measure(options, Path(folder))
+    text = (
+        f"Medians of {options.rounds} rounds, load average {os.getloadavg()[0]:.1f} at the end.\n\n"
+        + table(rows, options.threads)
+    )
+    print(text)
+    write_section("peers", text)
 
 
 if __name__ == "__main__":

@@ -11,15 +11,15 @@ Rewrites the section between the marks in docs/benchmarks.md.
 import argparse
 import json
 import os
-import re
 import statistics
 import subprocess
 import tempfile
 from pathlib import Path
 
+from page import write_section
+
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build/release"
-PAGE = ROOT / "docs/benchmarks.md"
 SURROGATE = "efficientnet_lite0"
 VIEWS = 6  # attack.views_per_step
 SHORT, LONG = 8, 32
@@ -78,10 +78,7 @@ def main() -> None:
         f"outside the classifier."
     )
     print(text)
-    page = PAGE.read_text(encoding="utf-8")
-    begin, end = "<!-- bench step -->\n", "\n<!-- end of bench step -->"
-    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
-    PAGE.write_text(pattern.sub(lambda _: begin + text + end, page), encoding="utf-8")
+    write_section("step", text)
 
 
 if __name__ == "__main__":

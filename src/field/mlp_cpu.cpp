@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cstring>
 #include <memory>
+#include <new>
 
 #include "field_kernels.h"
 #include "tt3d/device.h"
@@ -10,7 +11,10 @@ namespace tt3d::field {
 namespace {
 
 constexpr int kLanes = 16;
-constexpr int kBlock = 128;
+constexpr int kBlock = 256;
+/// Numbers from a row of a block to the next: an odd number of cache lines, so that the rows spread
+/// over the cache.
+constexpr int kRow = kBlock + kLanes;
 constexpr int kVectors = kBlock / kLanes;
 constexpr int64_t kChunk = 8192;  ///< points a partial weight gradient covers
 static_assert(kChunk % kBlock == 0);
@@ -33,17 +37,19 @@ TT3D_HD T sum_of(const Lanes<T>& v) {
   return c[0] + c[1];
 }
 
-/// y[out,kBlock] = w[out,in] x[in,kBlock]: four rows of y by two vectors of points at a time.
+/// y[out,kBlock] = w[out,in] x[in,kBlock]: four rows of y by two vectors of points at a time. The
+/// points are outermost, so that what is read of x stays in the first cache for all rows.
 template <typename T>
 TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out) {
-  for (int64_t o = 0; o < out; o += 4) {
-    const int64_t rows = std::min<int64_t>(4, out - o);
-    const T* row[4];
-    for (int r = 0; r < 4; ++r) row[r] = w + (o + std::min<int64_t>(r, rows - 1)) * in;
-    for (int v = 0; v < kVectors; v += 2) {
+  for (int v = 0; v < kVectors; v += 2) {
+    const T* x_begin = x + v * kLanes;
+    for (int64_t o = 0; o < out; o += 4) {
+      const int64_t rows = std::min<int64_t>(4, out - o);
+      const T* row[4];
+      for (int r = 0; r < 4; ++r) row[r] = w + (o + std::min<int64_t>(r, rows - 1)) * in;
       Lanes<T> sum[4][2] = {};
       for (int64_t i = 0; i < in; ++i) {
-        const T* xi = x + i * kBlock + v * kLanes;
+        const T* xi = x_begin + i * kRow;
         const Lanes<T> a = *reinterpret_cast<const Lanes<T>*>(xi);
         const Lanes<T> b = *reinterpret_cast<const Lanes<T>*>(xi + kLanes);
         for (int r = 0; r < 4; ++r) {
@@ -51,8 +57,10 @@ TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out) {
           sum[r][1] += row[r][i] * b;
         }
       }
-      for (int64_t r = 0; r < rows; ++r) {
-        T* yo = y + (o + r) * kBlock + v * kLanes;
+      // Up to 4, not to `rows`: sums with an index that varies would not stay in registers.
+      for (int64_t r = 0; r < 4; ++r) {
+        if (r >= rows) break;
+        T* yo = y + (o + r) * kRow + v * kLanes;
         *reinterpret_cast<Lanes<T>*>(yo) = sum[r][0];
         *reinterpret_cast<Lanes<T>*>(yo + kLanes) = sum[r][1];
       }
@@ -72,17 +80,17 @@ TT3D_HD void accumulate_weights(const T* gy, const T* x, T* grad, int64_t in, in
         Lanes<T> a[4], b[4];
         for (int r = 0; r < 4; ++r) {
           a[r] = *reinterpret_cast<const Lanes<T>*>(
-              gy + (o + std::min<int64_t>(r, rows - 1)) * kBlock + v * kLanes);
+              gy + (o + std::min<int64_t>(r, rows - 1)) * kRow + v * kLanes);
           b[r] = *reinterpret_cast<const Lanes<T>*>(
-              x + (i + std::min<int64_t>(r, cols - 1)) * kBlock + v * kLanes);
+              x + (i + std::min<int64_t>(r, cols - 1)) * kRow + v * kLanes);
         }
         for (int r = 0; r < 4; ++r) {
           for (int c = 0; c < 4; ++c) sum[r][c] += a[r] * b[c];
         }
       }
-      for (int64_t r = 0; r < rows; ++r) {
-        for (int64_t c = 0; c < cols; ++c) {
-          grad[(o + r) * in + i + c] += sum_of<T>(sum[r][c]);
+      for (int64_t r = 0; r < 4; ++r) {
+        for (int64_t c = 0; c < 4; ++c) {
+          if (r < rows && c < cols) grad[(o + r) * in + i + c] += sum_of<T>(sum[r][c]);
         }
       }
     }
@@ -94,8 +102,8 @@ template <typename T>
 TT3D_HD void load_block(const T* x, int64_t rows, int64_t count, int64_t begin, T* block) {
   const int64_t n = std::min<int64_t>(kBlock, count - begin);
   for (int64_t r = 0; r < rows; ++r) {
-    for (int64_t k = 0; k < n; ++k) block[r * kBlock + k] = x[r * count + begin + k];
-    for (int64_t k = n; k < kBlock; ++k) block[r * kBlock + k] = T(0);
+    for (int64_t k = 0; k < n; ++k) block[r * kRow + k] = x[r * count + begin + k];
+    for (int64_t k = n; k < kBlock; ++k) block[r * kRow + k] = T(0);
   }
 }
 
@@ -103,7 +111,7 @@ template <typename T>
 TT3D_HD void store_block(const T* block, int64_t rows, int64_t count, int64_t begin, T* x) {
   const int64_t n = std::min<int64_t>(kBlock, count - begin);
   for (int64_t r = 0; r < rows; ++r) {
-    for (int64_t k = 0; k < n; ++k) x[r * count + begin + k] = block[r * kBlock + k];
+    for (int64_t k = 0; k < n; ++k) x[r * count + begin + k] = block[r * kRow + k];
   }
 }
 
@@ -116,18 +124,22 @@ struct Workspace {
       total += layer.out;
       widest = std::max(widest, layer.out);
     }
-    storage = std::make_unique<T[]>((total + 2 * widest) * kBlock);
+    storage.reset(new (std::align_val_t{64}) T[static_cast<size_t>((total + 2 * widest) * kRow)]());
     T* next = storage.get();
     activations.push_back(next);
-    next += layers[0].in * kBlock;
+    next += layers[0].in * kRow;
     for (const Layer<T>& layer : layers) {
       activations.push_back(next);
-      next += layer.out * kBlock;
+      next += layer.out * kRow;
     }
     grad_a = next;
-    grad_b = next + widest * kBlock;
+    grad_b = next + widest * kRow;
   }
-  std::unique_ptr<T[]> storage;
+  /// Frees what was allocated in whole cache lines.
+  struct Free {
+    void operator()(T* memory) const { ::operator delete[](memory, std::align_val_t{64}); }
+  };
+  std::unique_ptr<T[], Free> storage;
   std::vector<T*> activations;
   T *grad_a, *grad_b;
 };
@@ -138,7 +150,7 @@ TT3D_HD void forward_block(const Layer<T>* layers, size_t layer_count, T* const*
     multiply(layers[k].weights, activations[k], activations[k + 1], layers[k].in, layers[k].out);
     if (k + 1 == layer_count) break;
     T* y = activations[k + 1];
-    for (int64_t i = 0; i < layers[k].out * kBlock; ++i) y[i] = y[i] > T(0) ? y[i] : T(0);
+    for (int64_t i = 0; i < layers[k].out * kRow; ++i) y[i] = y[i] > T(0) ? y[i] : T(0);
   }
 }
 
@@ -154,8 +166,7 @@ TT3D_HD void backward_block(const Layer<T>* layers, const T* const* transposed, 
     multiply(transposed[k], grad_a, grad_b, layers[k].out, layers[k].in);
     if (k > 0) {
       const T* x = activations[k];
-      for (int64_t i = 0; i < layers[k].in * kBlock; ++i)
-        grad_b[i] = x[i] > T(0) ? grad_b[i] : T(0);
+      for (int64_t i = 0; i < layers[k].in * kRow; ++i) grad_b[i] = x[i] > T(0) ? grad_b[i] : T(0);
     }
     std::swap(grad_a, grad_b);
   }

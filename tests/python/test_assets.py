@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -67,3 +69,33 @@ def test_glb_and_obj_are_the_same_surface(assets: Path) -> None:
     z_up = load(assets / "object.obj").triangles
     turned = np.stack([y_up[..., 0], -y_up[..., 2], y_up[..., 1]], axis=-1)
     assert turned == pytest.approx(z_up, abs=1e-6)
+
+
+def test_a_million_faces_and_four_million_pixels_in_little_memory(tmp_path: Path) -> None:
+    program = BUILD / "tt3d"
+    if not program.exists():
+        pytest.skip(f"{program} is not built")
+    ball = trimesh.creation.icosphere(subdivisions=8)
+    assert len(ball.faces) > 1_000_000
+    longitude = np.arctan2(ball.vertices[:, 1], ball.vertices[:, 0])
+    uv = np.stack([longitude / (2 * np.pi) + 0.5, 0.5 + ball.vertices[:, 2] / 2], 1)
+    texture = Image.fromarray(np.full((64, 64, 3), (10, 200, 30), np.uint8))
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=texture)
+    ball.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    ball.export(tmp_path / "ball.glb")
+    out = tmp_path / "views"
+    command = [program, "render", tmp_path / "ball.glb", "--out", out, "--views", "1"]
+    # The peak of this child alone, not of all children so far.
+    measured = subprocess.run(
+        [sys.executable, "-c",
+         "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True);"
+         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)",
+         *command, "--size", "2048", "-q"],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert int(measured.stdout.splitlines()[-1]) < 4 << 20  # KiB
+    picture = np.asarray(Image.open(next(out.rglob("*.png"))).convert("RGBA"))
+    assert picture.shape == (2048, 2048, 4)
+    shown = picture[picture[..., 3] == 255][:, :3]
+    assert len(shown) > 2048 * 2048 / 10
+    assert np.abs(shown.astype(int) - (10, 200, 30)).max() <= 1

@@ -1,0 +1,78 @@
+"""How the time of a step grows with pixels, faces, points and pictures: a plot for
+docs/benchmarks.md.
+
+    scripts/bench growth [--threads N]
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+ROOT = Path(__file__).resolve().parents[1]
+BUILD = ROOT / "build/release/bench"
+PICTURE = ROOT / "docs/images/growth.png"
+BATCHES = (1, 2, 4, 8, 16, 32)
+#: Benchmark, axis, and what a step is.
+KERNELS = {
+    "growth_pixels": ("pixels a side", "49,928 faces drawn,\nforward and backward"),
+    "growth_faces": ("faces", "400 x 400 pixels drawn,\nforward and backward"),
+    "growth_points": ("points", "hash encoding and MLP,\nforward and backward"),
+}
+
+
+def kernel_times(name: str, threads: int) -> tuple[list[int], list[float]]:
+    """Return sizes and milliseconds of a benchmark of kernel_bench."""
+    done = subprocess.run(
+        [BUILD / "kernel_bench", f"--benchmark_filter=^{name}/", "--benchmark_format=json"],
+        env={**os.environ, "OMP_NUM_THREADS": str(threads)},
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    runs = json.loads(done.stdout)["benchmarks"]
+    return [int(r["name"].split("/")[1]) for r in runs], [r["real_time"] for r in runs]
+
+
+def batch_times(threads: int) -> tuple[list[int], list[float]]:
+    """Return batch sizes and milliseconds of EfficientNet-Lite0's passes."""
+    times = []
+    for batch in BATCHES:
+        done = subprocess.run(
+            [BUILD / "model_bench", ROOT / "models/efficientnet_lite0.pt2", str(batch),
+             str(threads)],
+            input="run\n" * 7, check=True, capture_output=True, text=True,
+        )  # fmt: skip
+        lines = [float(line) for line in done.stdout.split() if line != "ready"]
+        times.append(1000 * statistics.median(lines[2:]))
+    return list(BATCHES), times
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--threads", type=int, default=os.cpu_count())
+    every = parser.parse_args().threads
+    figure, axes = plt.subplots(1, 4, figsize=(15, 3.6), layout="constrained")
+    for threads in sorted({1, every}):
+        label = f"{threads} thread{'s' if threads > 1 else ''}"
+        for axis, (name, (x_label, title)) in zip(axes, KERNELS.items(), strict=False):
+            axis.loglog(*kernel_times(name, threads), "o-", label=label)
+            axis.set(xlabel=x_label, title=title)
+        axes[3].loglog(*batch_times(threads), "o-", label=label)
+    axes[3].set(xlabel="pictures", title="EfficientNet-Lite0,\nforward and backward")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("milliseconds")
+    axes[0].legend()
+    figure.savefig(PICTURE, dpi=80)
+    print(PICTURE)
+
+
+if __name__ == "__main__":
+    main()

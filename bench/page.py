@@ -1,0 +1,18 @@
+"""The sections of docs/benchmarks.md that benchmarks write."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = ROOT / "docs/benchmarks.md"
+
+
+def write_section(name: str, text: str) -> None:
+    """Put `text` between the marks of section `name`; the page must have them."""
+    begin, end = f"<!-- bench {name} -->\n", f"\n<!-- end of bench {name} -->"
+    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
+    page = PAGE.read_text(encoding="utf-8")
+    changed, count = pattern.subn(lambda _: begin + text + end, page)
+    if count != 1:
+        raise SystemExit(f"{PAGE}: expected one pair of marks of section {name!r}, found {count}")
+    PAGE.write_text(changed, encoding="utf-8")
