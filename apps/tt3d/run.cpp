@@ -116,11 +116,10 @@ void attack(Arguments a, const Common& common, const CLI::App& command) {
   assign("attack.method", a.method);
   if (!a.sticker_area.empty()) assignments.push_back("attack.sticker_area=" + a.sticker_area);
   if (!a.sticker_mask.empty()) assign("attack.sticker_mask", fs::absolute(a.sticker_mask));
-  if (!a.also.empty()) {
-    std::vector<std::string> folders;
-    for (const std::string& run : a.also) folders.push_back(fs::absolute(run));
-    assignments.push_back("attack.also=" + toml_list(folders));
-  }
+  // Not kept from an attack before: another method may not wear it.
+  std::vector<std::string> folders;
+  for (const std::string& run : a.also) folders.push_back(fs::absolute(run));
+  assignments.push_back("attack.also=" + toml_list(folders));
   const Run run = continue_run(a, common, assignments, "attack");
   std::cout << (run.folder() / "attack" / "attack.safetensors").string() << "\n";
 }

@@ -299,6 +299,7 @@ def test_one_tile_for_two_objects(finished: Path, tmp_path: Path) -> None:
     assert (tiles[0] == tiles[1]).all()
     one_line(tt3d(*attack, "--method", "dual", "--also", runs[1]), 2, "attack.also")
     one_line(tt3d(*attack, "--also", tmp_path / "nothing"), 2, "nothing")
+    assert tt3d(*attack, "--method", "dual").returncode == 0  # alone again
 
 
 def test_a_drawn_mask_keeps_the_rest_of_the_texture(finished: Path, tmp_path: Path) -> None:
