@@ -23,6 +23,8 @@ VICTIMS = tuple(model for family in ARCHITECTURES.values() for model in family)
 
 #: The paper's table 1, then the attacks that it builds on.
 METHODS = ("texture", "mesh", "mlp", "grid", "dual", "dual-texture-only", "strong")
+#: What the rest is compared with.
+CORE = ("texture", "dual", "strong")
 OTHERS = (
     "advturtle", "meshadv-shape", "meshadv-texture", "physical", "sticker", "full-coverage",
     "repeated", "triplanar",
@@ -91,15 +93,18 @@ def _ensemble(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -
 
 def plan(presets: tuple[str, ...], objects: tuple[str, ...]) -> list[Cell]:
     """Return the cells of these presets, those first without which the table says least."""
-    chosen = [m for m in METHODS if m in presets]
-    own, others = tuple(chosen), tuple(m for m in OTHERS if m in presets)
-    carried = tuple(m for m in ("strong", "texture") if m in presets)
+
+    def asked(*methods: str) -> tuple[str, ...]:
+        return tuple(m for m in methods if m in presets)
+
     first, second = TARGETS
-    cells = _methods(own, objects, first)
-    cells += _leave_one_out(carried[:1], objects, first)
+    own, others = asked(*METHODS), asked(*OTHERS)
+    cells = _methods(asked(*CORE), objects, first)
+    cells += _leave_one_out(asked("strong"), objects, first)
+    cells += _methods(tuple(m for m in own if m not in CORE), objects, first)
     if "dual" in own:
         cells += _betas(objects, first)
+    cells += _leave_one_out(asked("texture"), objects, first)
+    cells += _ensemble(asked("strong", "texture"), objects, first)
     cells += _methods(others, objects, first)
-    cells += _leave_one_out(carried[1:], objects, first)
-    cells += _ensemble(carried, objects, first)
     return cells + _methods(own + others, objects, second)
