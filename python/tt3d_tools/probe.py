@@ -92,6 +92,8 @@ def _probe_case(
     std = torch.tensor(card["std"], dtype=torch.float32).view(1, 3, 1, 1)
     with right_batch_norm(batch):
         logits = model((images - mean) / std)
+    if logits.dim() == 3:  # a detector's [N,anchors,classes]: each class where it scores highest
+        logits = logits.amax(1)
     classes = logits.detach().argmax(1)
     (gradient,) = torch.autograd.grad(logits.gather(1, classes[:, None]).sum(), images)
     where = gradient_positions(gradient.numel(), positions, seed)

@@ -131,7 +131,8 @@ at::Tensor BatchRunner::padded(const at::Tensor& images, MemoryMeter& meter) {
 at::Tensor BatchRunner::run(const at::Tensor& images, MemoryMeter& meter) {
   const AllocationLimit allocations(memory_budget(limit_));
   const PrecisionScope precision(precision_, images.device());
-  const at::Tensor logits = run_graph(graph_on(images.device()), images, meter);
+  at::Tensor logits = run_graph(graph_on(images.device()), images, meter);
+  if (logits.dim() == 3) logits = logits.amax(1);  // a detector: each class where it scores highest
   if (logits.dim() != 2 || logits.size(0) != images.size(0) || logits.size(1) != graph_.classes ||
       !logits.is_floating_point()) {
     throw Malformed("the graph did not give logits [N,classes]");

@@ -60,7 +60,7 @@ struct Graph {
   std::map<Slot, at::Tensor> constants;  ///< parameters, buffers, tensor constants
   std::vector<Step> steps;
   Slot input = -1;   ///< float32 [N,3,H,W], normalised
-  Slot output = -1;  ///< float32 [N,classes]
+  Slot output = -1;  ///< float32 [N,classes] or [N,anchors,classes]
   int64_t height = 0, width = 0, classes = 0;
   int64_t min_batch = 1, max_batch = 0;  ///< batch sizes the graph was exported for
 };

@@ -297,10 +297,13 @@ void GraphReader::check_input_shape() {
 void GraphReader::check_output_shape() {
   const Json& meta = json_graph_->at("tensor_values").at(output_name_);
   const Json& sizes = meta.at("sizes");
-  if (meta.at("dtype") != kFloat32 || sizes.size() != 2 || !sizes[1].contains("as_int")) {
-    throw Malformed("does not give float32 logits [N,classes]; only classifiers can be used");
+  const bool fits = meta.at("dtype") == kFloat32 && (sizes.size() == 2 || sizes.size() == 3) &&
+                    sizes.back().contains("as_int");
+  if (!fits) {
+    throw Malformed(
+        "does not give float32 logits [N,classes], nor a detector's scores [N,anchors,classes]");
   }
-  graph_.classes = sizes[1]["as_int"].get<int64_t>();
+  graph_.classes = sizes.back()["as_int"].get<int64_t>();
   if (graph_.classes < 2) throw Malformed("has fewer than two classes");
 }
 

@@ -6,8 +6,9 @@
 namespace tt3d::model {
 
 /// Reads the graph and its weights from an archive and checks that it is a classifier of images:
-/// one float32 input [N,3,H,W], one float32 output [N,classes], allowed operators only, every
-/// value defined once and before its use, no weight written to. Throws Malformed.
+/// one float32 input [N,3,H,W], one float32 output [N,classes] or [N,anchors,classes], allowed
+/// operators only, every value defined once and before its use, no weight written to. Throws
+/// Malformed.
 [[nodiscard]] Graph read_graph(const Archive& archive, const ModelLimits& limits);
 
 /// Refuses in-place operators on weights and on views of weights. Throws Malformed.

@@ -319,6 +319,17 @@ def test_a_drawn_mask_keeps_the_rest_of_the_texture(finished: Path, tmp_path: Pa
     assert change[:, clean.width * 6 // 10 :].max() == 0
 
 
+def test_a_detector_is_scored_and_attacked_where_it_sees_most(
+    finished: Path, tmp_path: Path
+) -> None:
+    detector = MODEL.with_name("toy_detector.pt2")
+    done = tt3d("model", "check", detector)  # logits and gradient against the card's
+    assert done.returncode == 0, done.stderr
+    run = shutil.copytree(finished / "out", tmp_path / "out")
+    done = tt3d("attack", run, "--surrogate", detector, "--target", "teapot", *QUICK)
+    assert done.returncode == 0, done.stderr
+
+
 def test_curves_become_event_files(finished: Path, tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
