@@ -143,6 +143,11 @@ def build_timm(name: str, weights: str | None) -> ModelSpec:
     if not timm.is_model(name):
         raise WeightsError(f"timm:{name}: timm {timm.__version__} has no such model")
     network = _timm_network(name, weights)
+    if getattr(network, "num_classes", 1000) == 0:
+        raise WeightsError(
+            f"timm:{name}: gives features, not classes; name a version that was trained as a "
+            "classifier (timm's names of those often end in in1k)"
+        )
     data = timm.data.resolve_model_data_config(network)
     _, height, width = data["input_size"]
     return ModelSpec(

@@ -15,6 +15,7 @@ from tt3d_tools import export  # noqa: E402
 from tt3d_tools.package import ModelSpec, file_sha256, write_package  # noqa: E402
 from tt3d_tools.probe import gradient_positions, probe_images  # noqa: E402
 from tt3d_tools.weights import WeightsError, load_weights  # noqa: E402
+from tt3d_tools.zoo import build_named  # noqa: E402
 
 
 def small_network() -> torch.nn.Module:
@@ -67,6 +68,12 @@ def test_export_leaves_no_temporary_files_and_no_paths(tmp_path: Path) -> None:
     archive, card = write_package(small_spec(), tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == [card.name, archive.name]
     assert str(ROOT).encode() not in archive.read_bytes()
+
+
+def test_a_network_without_classes_is_refused() -> None:
+    pytest.importorskip("timm")
+    with pytest.raises(WeightsError, match="features, not classes"):
+        build_named("timm:eva02_tiny_patch14_224", "none")
 
 
 def test_failed_export_keeps_no_half_package(tmp_path: Path) -> None:

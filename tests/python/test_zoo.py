@@ -29,7 +29,7 @@ TIMM = (
     "resnetv2_50", "resnest14d", "res2net50_14w_8s", "regnety_002", "tf_efficientnet_lite0",
     "mobilenetv3_small_050", "mobilenetv4_conv_small", "ghostnet_050", "rexnet_100", "dla34",
     "hrnet_w18_small", "repvgg_a0", "nfnet_l0", "eca_nfnet_l0", "cspresnet50", "skresnet18",
-    "vit_tiny_patch16_224", "deit_tiny_patch16_224", "eva02_tiny_patch14_224", "cait_xxs24_224",
+    "vit_tiny_patch16_224", "deit_tiny_patch16_224", "eva02_tiny_patch14_336", "cait_xxs24_224",
     "xcit_nano_12_p16_224", "pit_ti_224", "levit_128s", "tnt_s_patch16_224", "crossvit_tiny_240",
     "pvt_v2_b0", "twins_svt_small", "swin_tiny_patch4_window7_224", "focalnet_tiny_srf",
     "convnext_atto", "convnextv2_atto", "inception_next_atto", "mixer_s16_224", "gmlp_ti16_224",
