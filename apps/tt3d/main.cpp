@@ -52,6 +52,7 @@ int run_program(int argc, char** argv) {
   Common common;
   add_run_commands(app, common);
   add_evaluate_commands(app, common);
+  add_tool_commands(app, common);
   add_model_command(app, common);
   add_info_commands(app, common);
   try {

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "commands.h"
+#include "tt3d/report.h"
 #include "tt3d/run.h"
 
 namespace tt3d::cli {
@@ -13,8 +14,9 @@ namespace {
 
 /// What the commands of this file were given.
 struct Arguments {
-  std::string config, capture, run, asset, target, true_class, method, sticker_area, sticker_mask;
-  std::vector<std::string> sets, surrogates, also;
+  std::string config, capture, run, asset, out, target, true_class, method, sticker_area,
+      sticker_mask;
+  std::vector<std::string> sets, surrogates, also, runs;
   bool restart = false;
 };
 
@@ -85,6 +87,34 @@ Run continue_run(const Arguments& a, const Common& common, std::vector<std::stri
   const auto progress = make_progress(common);
   run.run_until(stage, *progress);
   return run;
+}
+
+/// One run: its page. Several: the page that compares them.
+void report_runs(Arguments& a, const Common& common) {
+  if (a.runs.size() == 1 && a.out.empty()) {
+    a.run = a.runs.front();
+    std::cout << (continue_run(a, common, {}, "report").folder() / "report.html").string() << "\n";
+    return;
+  }
+  if (a.out.empty()) throw InputError("report of several runs: name a folder with --out");
+  std::vector<ComparedRun> compared;
+  for (const std::string& text : a.runs) {
+    const fs::path folder = text;
+    if (!fs::is_directory(folder / "eval")) {
+      throw InputError(folder, "expected a run folder with evaluations in eval/");
+    }
+    compared.push_back({folder.filename().empty() ? folder.parent_path().filename().string()
+                                                  : folder.filename().string(),
+                        records_in(folder / "eval"),
+                        fs::exists(folder / "run.json") ? read_file(folder / "run.json") : ""});
+  }
+  const Comparison page = compare_runs(compared);
+  const fs::path out = a.out;
+  write_file_atomic(out / "comparison.csv", page.csv);
+  write_file_atomic(out / "comparison.json", page.json);
+  write_file_atomic(out / "comparison.tex", page.latex);
+  write_file_atomic(out / "comparison.html", page.html);
+  std::cout << (out / "comparison.html").string() << "\n";
 }
 
 std::string toml_list(const std::vector<std::string>& words) {
@@ -193,9 +223,13 @@ void add_run_commands(CLI::App& app, Common& common) {
       ->callback([a, &common] {
         std::cout << (continue_run(*a, common, {}, "bake").folder() / "asset").string() << "\n";
       });
-  stage_command(app, common, *a, "report", "report.html of a run")->callback([a, &common] {
-    std::cout << (continue_run(*a, common, {}, "report").folder() / "report.html").string() << "\n";
-  });
+  CLI::App* report =
+      app.add_subcommand("report", "report.html of a run; with --out, many compared");
+  report->add_option("RUN", a->runs, "run folders")->required();
+  report->add_option("--out", a->out, "folder for comparison.html, .csv, .json and .tex");
+  report->add_option("--set", a->sets, "key=value of the configuration, of a single run");
+  add_common_options(*report, common);
+  report->callback([a, &common] { report_runs(*a, common); });
 }
 
 void print_record(const std::string& record_json) {

@@ -14,14 +14,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+import toolkit
+
 if TYPE_CHECKING:
     import numpy as np
 
-EXIT_NO_XATLAS = 3
 # Share of the atlas that charts cover, from xatlas runs on meshes of 5,000 to 60,000 faces; the
 # size that comes out is scaled to the resolution asked for, so a wrong guess only costs padding.
 EXPECTED_FILL = 0.68
-DTYPES = {"F32": "<f4", "I32": "<i4"}
+DTYPES = {"F32": "<f4", "I32": "<i4", "U8": "u1"}
 
 
 def read_tensors(path: Path) -> dict[str, np.ndarray]:
@@ -92,18 +94,14 @@ def unwrap(
     return np.clip(uvs * scale, 0, 1), uv_faces.astype(np.int32)
 
 
-def main(arguments: list[str]) -> int:
-    """Runs the conversion named on the command line; returns the exit status."""
+def work(arguments: list[str]) -> None:
+    """Runs the conversion named on the command line."""
     source, target, resolution, padding = arguments
-    try:
-        import xatlas  # noqa: F401
-    except ImportError:
-        return EXIT_NO_XATLAS
+    toolkit.need_package("xatlas", "UV unwrapping")
     tensors = read_tensors(Path(source))
     uvs, uv_faces = unwrap(tensors["vertices"], tensors["faces"], int(resolution), int(padding))
     write_tensors(Path(target), {"uvs": uvs, "uv_faces": uv_faces})
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    toolkit.main(work)

@@ -12,6 +12,7 @@
 #include <fstream>
 
 #include "tt3d/core.h"
+#include "tt3d/tool.h"
 
 extern char** environ;
 
@@ -26,16 +27,29 @@ struct Descriptor {
   }
 };
 
+/// Hands the complete lines of `output` from `begin` on to the watch.
+void pass_lines(const std::string& output, size_t& begin, const ProcessWatch& watch) {
+  if (!watch.on_line) return;
+  for (size_t end; (end = output.find('\n', begin)) != std::string::npos; begin = end + 1) {
+    watch.on_line(output.substr(begin, end - begin));
+  }
+}
+
 /// Reads what the child prints until it closes its end or the deadline passes.
-bool drain(int fd, double deadline, std::string& output) {
+bool drain(int fd, double deadline, std::string& output, const ProcessWatch& watch) {
   char buffer[4096];
+  size_t passed = 0;
   while (true) {
+    pass_lines(output, passed, watch);
     const double left = deadline - now_seconds();
-    if (left <= 0) return false;
+    if (left <= 0 || (watch.stop && watch.stop())) return false;
     pollfd poll_fd{fd, POLLIN, 0};
     if (::poll(&poll_fd, 1, static_cast<int>(std::min(left, 1.0) * 1000) + 1) <= 0) continue;
     const ssize_t n = ::read(fd, buffer, sizeof buffer);
-    if (n == 0 || (n < 0 && errno != EINTR)) return true;
+    if (n == 0 || (n < 0 && errno != EINTR)) {
+      if (passed < output.size() && watch.on_line) watch.on_line(output.substr(passed));
+      return true;
+    }
     if (n > 0) output.append(buffer, static_cast<size_t>(n));
   }
 }
@@ -49,8 +63,13 @@ pid_t spawn(const std::vector<std::string>& command, int output_fd) {
   posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
   posix_spawn_file_actions_adddup2(&actions, output_fd, 1);
   posix_spawn_file_actions_adddup2(&actions, output_fd, 2);
+  // A process group of its own, so that what it starts ends with it.
+  posix_spawnattr_t attributes;
+  posix_spawnattr_init(&attributes);
+  posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETPGROUP);
   pid_t pid = 0;
-  const int error = posix_spawnp(&pid, argv[0], &actions, nullptr, argv.data(), environ);
+  const int error = posix_spawnp(&pid, argv[0], &actions, &attributes, argv.data(), environ);
+  posix_spawnattr_destroy(&attributes);
   posix_spawn_file_actions_destroy(&actions);
   if (error != 0) {
     throw MissingToolError(command.front() + ": cannot start: " + std::strerror(error) +
@@ -61,7 +80,8 @@ pid_t spawn(const std::vector<std::string>& command, int output_fd) {
 
 }  // namespace
 
-ProcessResult run_process(const std::vector<std::string>& command, double time_limit_seconds) {
+ProcessResult watch_process(const std::vector<std::string>& command, double time_limit_seconds,
+                            const ProcessWatch& watch) {
   int pipe_fds[2];
   if (::pipe2(pipe_fds, O_CLOEXEC) != 0) throw ResourceError("cannot open a pipe");
   Descriptor reader{pipe_fds[0]};
@@ -71,13 +91,17 @@ ProcessResult run_process(const std::vector<std::string>& command, double time_l
   writer.fd = -1;
 
   ProcessResult result;
-  result.timed_out = !drain(reader.fd, now_seconds() + time_limit_seconds, result.output);
-  if (result.timed_out) ::kill(pid, SIGKILL);
+  result.timed_out = !drain(reader.fd, now_seconds() + time_limit_seconds, result.output, watch);
+  if (result.timed_out) ::kill(-pid, SIGKILL);
   int status = 0;
   while (::waitpid(pid, &status, 0) < 0 && errno == EINTR) {
   }
   result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   return result;
+}
+
+ProcessResult run_process(const std::vector<std::string>& command, double time_limit_seconds) {
+  return watch_process(command, time_limit_seconds, {});
 }
 
 double now_seconds() noexcept {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "naturalness.h"
 #include "tt3d/evaluate.h"
 #include "tt3d/field.h"
 #include "tt3d/version.h"
@@ -19,23 +20,44 @@ constexpr uint64_t kHeldOut = 0x5EED0FEA1ULL;
 constexpr int64_t kBatch = 10;
 
 /// Pictures of a batch of views over their backgrounds: [N,3,H,W] in [0,1].
-Tensor pictures_of(const AssetRenderer& renderer, const Backgrounds& backgrounds,
-                   const std::vector<SampledView>& views, int64_t begin, int64_t end,
-                   uint64_t seed) {
-  std::vector<Camera> cameras;
+Tensor pictures_of(const AssetViews& views, const Backgrounds& backgrounds, int64_t begin,
+                   int64_t end, uint64_t seed) {
+  const Tensor rendered = views.render(begin, end);
   std::vector<Tensor> behind;
   for (int64_t i = begin; i < end; ++i) {
-    cameras.push_back(views[i].camera);
     Random random(seed, "evaluate/background", static_cast<uint64_t>(i));
-    behind.push_back(backgrounds.draw(cameras[0].height, cameras[0].width, random));
+    behind.push_back(backgrounds.draw(rendered.size(1), rendered.size(2), random));
   }
-  const Tensor rendered = renderer.render(cameras);
   const Tensor rgb = over_background(rendered, at::stack(behind).to(rendered.device())).clamp(0, 1);
   // What is scored is what a PNG of it would hold.
   return (rgb * 255).round().div(255).permute({0, 3, 1, 2}).contiguous();
 }
 
-/// Adds a victim's answers to a batch.
+json optional_number(const std::optional<double>& x) { return x ? json(*x) : json(nullptr); }
+
+json geometry_json(const std::optional<GeometryRecord>& g) {
+  if (!g) return nullptr;
+  return {{"chamfer", g->chamfer},
+          {"hausdorff", g->hausdorff},
+          {"normal_deviation_deg", g->normal_deviation_deg},
+          {"self_intersecting_faces", g->self_intersecting_faces},
+          {"self_intersecting_faces_clean", g->self_intersecting_faces_clean}};
+}
+
+json class_json(const ClassId& c) {
+  if (c.index < 0) return nullptr;
+  return {{"index", c.index}, {"wnid", c.wnid}, {"name", c.name}};
+}
+
+std::string csv_text(const std::string& text) {
+  if (text.find_first_of(",\"\n") == std::string::npos) return text;
+  std::string quoted = "\"";
+  for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
+  return quoted + "\"";
+}
+
+}  // namespace
+
 void answer(const Classifier& model, const Tensor& pictures, const Tensor& clean, int64_t target,
             int64_t true_class, std::vector<ViewAnswer>& answers) {
   const Tensor p = model.logits(preprocess(pictures, model.card())).softmax(1).cpu();
@@ -81,22 +103,6 @@ void summarize(VictimRecord& v, int64_t target, int64_t true_class, bool has_cle
   }
 }
 
-json optional_number(const std::optional<double>& x) { return x ? json(*x) : json(nullptr); }
-
-json class_json(const ClassId& c) {
-  if (c.index < 0) return nullptr;
-  return {{"index", c.index}, {"wnid", c.wnid}, {"name", c.name}};
-}
-
-std::string csv_text(const std::string& text) {
-  if (text.find_first_of(",\"\n") == std::string::npos) return text;
-  std::string quoted = "\"";
-  for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
-  return quoted + "\"";
-}
-
-}  // namespace
-
 std::vector<SampledView> evaluation_views(const std::string& distribution, uint64_t seed,
                                           int64_t count, int size, const ViewFrame& frame) {
   return sample_views(distribution, seed ^ kHeldOut, 0, count, size, frame);
@@ -107,15 +113,16 @@ EvalRecord evaluate_asset(const EvaluateOptions& options, Progress& progress) {
   const double start = now_seconds();
   if (options.victims.empty()) throw InputError("evaluate.victims: name at least one model");
   if (options.views < 1) throw InputError("evaluate.views: expected at least 1");
+  check_renderer(options.renderer);
+  if ((options.geometry || !options.lpips.empty()) && options.clean.empty()) {
+    throw InputError("LPIPS and geometry compare with the clean object; name it with --clean");
+  }
   EvalRecord record;
   record.options = options;
   record.asset_sha256 = sha256_file(options.asset);
   const TexturedMesh asset = load_asset(options.asset);
-  const AssetRenderer renderer(asset, options.device);
-  std::optional<AssetRenderer> clean_renderer;
-  if (!options.clean.empty()) clean_renderer.emplace(load_asset(options.clean), options.device);
   const Backgrounds backgrounds(options.background);
-  const bool has_clean = clean_renderer.has_value();
+  const bool has_clean = !options.clean.empty();
   std::vector<std::shared_ptr<Classifier>> models;
   std::vector<int64_t> targets, trues;
   for (const std::string& name : options.victims) {
@@ -133,19 +140,27 @@ EvalRecord evaluate_asset(const EvaluateOptions& options, Progress& progress) {
   }
   record.views = evaluation_views(options.view_distribution, options.seed, options.views,
                                   options.size, asset_view_frame(asset, options.asset));
-  double psnr_sum = 0, ssim_sum = 0;
+  const AssetViews pictures_source(options.asset, asset, record.views, options.renderer,
+                                   options.device, progress);
+  record.renderer_version = pictures_source.version();
+  std::optional<AssetViews> clean_source;
+  std::optional<TexturedMesh> clean_mesh;
+  if (has_clean) {
+    clean_mesh = load_asset(options.clean);
+    clean_source.emplace(options.clean, *clean_mesh, record.views, options.renderer, options.device,
+                         progress);
+  }
+  Naturalness naturalness(options, asset);
   progress.begin("evaluate", options.views, 0);
   for (int64_t begin = 0; begin < options.views; begin += kBatch) {
     const int64_t end = std::min(options.views, begin + kBatch);
-    const Tensor pictures =
-        pictures_of(renderer, backgrounds, record.views, begin, end, options.seed);
+    const Tensor pictures = pictures_of(pictures_source, backgrounds, begin, end, options.seed);
     Tensor clean;
     if (has_clean) {
-      clean = pictures_of(*clean_renderer, backgrounds, record.views, begin, end, options.seed);
-      for (int64_t i = 0; i < end - begin; ++i) {
-        const Tensor a = pictures[i].permute({1, 2, 0}), b = clean[i].permute({1, 2, 0});
-        psnr_sum += psnr(a, b);
-        ssim_sum += ssim(a, b);
+      clean = pictures_of(*clean_source, backgrounds, begin, end, options.seed);
+      for (int64_t i = begin; i < end; ++i) {
+        naturalness.add(pictures[i - begin].permute({1, 2, 0}), clean[i - begin].permute({1, 2, 0}),
+                        record.views[i].camera);
       }
     }
     for (size_t m = 0; m < models.size(); ++m) {
@@ -159,8 +174,11 @@ EvalRecord evaluate_asset(const EvaluateOptions& options, Progress& progress) {
     summarize(record.victims[m], targets[m], trues[m], has_clean);
   }
   if (has_clean) {
-    record.psnr = psnr_sum / static_cast<double>(options.views);
-    record.ssim = ssim_sum / static_cast<double>(options.views);
+    naturalness.finish(record, progress);
+    if (options.geometry) {
+      record.geometry =
+          compare_geometry(*clean_mesh, asset, options.geometry_time_limit_seconds, progress);
+    }
   }
   record.wall_seconds = now_seconds() - start;
   return record;
@@ -179,23 +197,32 @@ std::string record_json(const EvalRecord& r) {
                        {"asr_on_correct_n", v.asr_on_correct_n},
                        {"mean_target_probability", v.mean_target_probability}});
   }
-  const json j = {
-      {"asset", r.options.asset.string()},
-      {"asset_sha256", r.asset_sha256},
-      {"target", class_json(r.target)},
-      {"true_class", class_json(r.true_class)},
-      {"renderer", {{"name", "builtin"}, {"version", kVersion}, {"lit", false}}},
-      {"background", r.options.background},
-      {"views",
-       {{"distribution", r.options.view_distribution},
-        {"count", r.options.views},
-        {"seed", r.options.seed},
-        {"size", r.options.size}}},
-      {"victims", victims},
-      {"naturalness",
-       {{"psnr", optional_number(r.psnr)}, {"ssim", optional_number(r.ssim)}, {"lpips", nullptr}}},
-      {"tt3d_version", kVersion},
-      {"wall_seconds", r.wall_seconds}};
+  const json j = {{"asset", r.options.asset.string()},
+                  {"asset_sha256", r.asset_sha256},
+                  {"target", class_json(r.target)},
+                  {"true_class", class_json(r.true_class)},
+                  {"renderer",
+                   {{"name", r.options.renderer.name},
+                    {"version", r.renderer_version},
+                    {"lit", r.options.renderer.lit}}},
+                  {"background", r.options.background},
+                  {"views",
+                   {{"distribution", r.options.view_distribution},
+                    {"count", r.options.views},
+                    {"seed", r.options.seed},
+                    {"size", r.options.size}}},
+                  {"victims", victims},
+                  {"naturalness",
+                   {{"psnr", optional_number(r.psnr)},
+                    {"ssim", optional_number(r.ssim)},
+                    {"lpips", optional_number(r.lpips)},
+                    {"lpips_net", r.options.lpips},
+                    {"psnr_box", optional_number(r.psnr_box)},
+                    {"ssim_box", optional_number(r.ssim_box)},
+                    {"lpips_box", optional_number(r.lpips_box)}}},
+                  {"geometry", geometry_json(r.geometry)},
+                  {"tt3d_version", kVersion},
+                  {"wall_seconds", r.wall_seconds}};
   return j.dump(1) + "\n";
 }
 
@@ -225,16 +252,16 @@ void write_record(const EvalRecord& record, const std::filesystem::path& json_pa
 
 void render_to_folder(const std::filesystem::path& asset_path, const std::string& distribution,
                       int64_t count, int size, uint64_t seed, const std::filesystem::path& out,
-                      Progress& progress, at::Device device) {
+                      Progress& progress, at::Device device, const RendererChoice& renderer) {
   const TexturedMesh asset = load_asset(asset_path);
-  const AssetRenderer renderer(asset, device);
   const auto views =
       evaluation_views(distribution, seed, count, size, asset_view_frame(asset, asset_path));
+  const AssetViews pictures(asset_path, asset, views, renderer, device, progress);
   json frames = json::array();
   progress.begin("render", count, 0);
   for (int64_t i = 0; i < count; ++i) {
     const SampledView& view = views[i];
-    const Tensor rgba = renderer.render({view.camera})[0].clamp(0, 1).cpu();
+    const Tensor rgba = pictures.render(i, i + 1)[0].clamp(0, 1).cpu();
     const Tensor alpha = rgba.narrow(2, 3, 1);
     const Tensor straight = at::cat({rgba.narrow(2, 0, 3) / alpha.clamp_min(1e-6), alpha}, 2);
     const std::string name = fmt::format("r_{}", i);

@@ -8,6 +8,7 @@
 #include "run_facts.h"
 #include "tt3d/report.h"
 #include "tt3d/version.h"
+#include "view_sphere.h"
 #include "viewer_object.h"
 
 namespace tt3d {
@@ -62,6 +63,37 @@ std::string viewer_section(const Json& objects) {
           script_data(objects) + "</script>\n<script>" + kViewerJs + "</script>\n");
 }
 
+/// Success by renderer: a column a model, a row an evaluation.
+std::string renderer_table(const Json& own, const std::vector<std::string>& others) {
+  if (others.empty()) return "";
+  std::vector<Json> records = {own};
+  for (const std::string& text : others) {
+    records.push_back(parse_json(text, "another renderer's record"));
+  }
+  std::string head, body;
+  for (const Json& victim : member(own, "victims")) {
+    head += "<th scope=\"col\">" + escape(text(victim, "name")) + "</th>";
+  }
+  for (const Json& record : records) {
+    const Json renderer = member(record, "renderer"), lit = member(renderer, "lit");
+    body += "<tr><th scope=\"row\">" + escape(text(renderer, "name")) +
+            (lit.is_boolean() && lit.get<bool>() ? ", lit" : ", unlit") + ", " +
+            escape(text(record, "background")) + "</th>";
+    for (const Json& victim : member(own, "victims")) {
+      std::optional<double> rate;
+      for (const Json& other : member(record, "victims")) {
+        if (text(other, "name") == text(victim, "name")) rate = number(other, "asr");
+      }
+      body += "<td data-label=\"" + escape(text(victim, "name")) + "\">" +
+              (rate ? percent(*rate) : "\u2013") + "</td>";
+    }
+    body += "</tr>\n";
+  }
+  return "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"By renderer\"><table "
+         "class=\"results\"><thead><tr><th scope=\"col\">renderer and background</th>" +
+         head + "</tr></thead>\n<tbody>\n" + body + "</tbody></table></div>\n";
+}
+
 std::string configuration(const std::string& toml) {
   if (toml.empty()) return "";
   return "<details><summary>Configuration</summary><pre tabindex=\"0\">" + escape(toml) +
@@ -85,6 +117,10 @@ std::string render_report(const ReportInput& input) {
                {"headline", headline(figures)},
                {"objects", viewer_section(viewer_objects(input))},
                {"results", section("results", "Attack success", result_table(figures))},
+               {"renderers", section("renderers", "Other renderers",
+                                     renderer_table(record, input.other_records))},
+               {"spheres", section("spheres", "Where the attack fails",
+                                   view_spheres(input.views_csv, record))},
                {"quality", section("quality", "Naturalness and quality", quality_list(figures))},
                {"sheet", section("views", "Views", contact_sheet(input.views, figures.target))},
                {"images", section("pictures", "Pictures", gallery(input.images))},

@@ -1,6 +1,7 @@
 #include <ATen/ATen.h>
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "tt3d/bake.h"
@@ -374,6 +375,22 @@ std::vector<ReportView> report_views(const fs::path& run, const json& record, in
 
 }  // namespace
 
+std::vector<std::string> records_in(const fs::path& folder, const std::string& without) {
+  std::vector<fs::path> files;
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    const fs::path& path = entry.path();
+    if (path.extension() == ".json" && path.filename() != without) files.push_back(path);
+  }
+  std::sort(files.begin(), files.end());
+  std::vector<std::string> records;
+  for (const fs::path& path : files) {
+    std::string record = read_file(path);
+    const json j = json::parse(record, nullptr, false);
+    if (j.is_object() && j.contains("victims") && j.contains("renderer")) records.push_back(record);
+  }
+  return records;
+}
+
 void Run::run_report(Progress& progress) {
   progress.begin("report", 1, 0);
   ReportInput input;
@@ -385,6 +402,8 @@ void Run::run_report(Progress& progress) {
   input.title = object + " taken for " + target;
   input.clean_glb = folder_ / "asset" / "clean.glb";
   input.adversarial_glb = folder_ / "asset" / "adversarial.glb";
+  input.views_csv = read_file(folder_ / "eval" / "builtin.csv");
+  input.other_records = records_in(folder_ / "eval", "builtin.json");
   input.curves_csv = read_file(folder_ / "attack" / "curves.csv");
   input.config_toml = config_toml(config_);
   save();  // stages so far

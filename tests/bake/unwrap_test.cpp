@@ -101,7 +101,7 @@ TEST(Unwrap, TimeLimitMissingToolAndFailure) {
     EXPECT_THROW(run(), ResourceError);
   }
   {
-    const PythonOverride python(fake_python(folder, "exit 3"));
+    const PythonOverride python(fake_python(folder, "echo needs: pip install xatlas; exit 3"));
     try {
       run();
       FAIL();

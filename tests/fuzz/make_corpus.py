@@ -3,11 +3,13 @@
     python tests/fuzz/make_corpus.py
 
 Zip: small archives, stored and deflated. Graph: graph and tables of weights, as graph_fuzz.cpp
-reads them. Card: the toy cards with short probes. The results are committed.
+reads them. Card: the toy cards with short probes. Asset: a
+triangle as GLB, a quad as OBJ. The results are committed.
 """
 
 import io
 import json
+import struct
 import zipfile
 from pathlib import Path
 
@@ -81,6 +83,43 @@ def card_seed(name: str) -> bytes:
     return compact(card)
 
 
+def glb_seed() -> bytes:
+    """Return a coloured triangle with uvs as GLB, behind the byte that chooses the reader."""
+    points = struct.pack("<15f", 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1)
+    binary = points + struct.pack("<3H2x", 0, 1, 2)
+    views = [
+        {"buffer": 0, "byteOffset": a, "byteLength": n} for a, n in ((0, 36), (36, 24), (60, 6))
+    ]
+    kinds = ((5126, "VEC3"), (5126, "VEC2"), (5123, "SCALAR"))
+    accessors = [
+        {"bufferView": i, "componentType": c, "count": 3, "type": t}
+        for i, (c, t) in enumerate(kinds)
+    ]
+    scene = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "scale": [1, 2, 1]}],
+        "meshes": [
+            {
+                "primitives": [
+                    {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}
+                ]
+            }
+        ],
+        "materials": [{"pbrMetallicRoughness": {"baseColorFactor": [1, 0.5, 0, 1]}}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(binary)}],
+    }
+    text = compact(scene)
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + len(binary)
+    head = struct.pack("<4sII", b"glTF", 2, length)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    return b"g" + head + chunks + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+
+
 def write(folder: str, seeds: dict[str, bytes]) -> None:
     """Write seeds into a folder of the corpus."""
     target = HERE / "corpus" / folder
@@ -96,6 +135,8 @@ def main() -> None:
     write("graph", {name: graph_seed(name) for name in TOYS})
     imagenet = json.loads(card_seed("toy_cnn")) | {"labels": "imagenet-1k", "probe": None}
     write("card", {name: card_seed(name) for name in TOYS} | {"imagenet": compact(imagenet)})
+    obj = b"ov 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nv 1 1 0\nvt 0 0\nf 1/1 2/1 -1/1 3/1\n"
+    write("asset", {"triangle_glb": glb_seed(), "quad_obj": obj})
 
 
 if __name__ == "__main__":

@@ -39,6 +39,8 @@ struct ReportInput {
   std::string title;
   std::filesystem::path clean_glb, adversarial_glb;  ///< shown turning in 3D, side by side
   std::string record_json;                           ///< evaluation record (eval/builtin.json)
+  std::vector<std::string> other_records;  ///< evaluations by other renderers (eval/*.json)
+  std::string views_csv;    ///< rows of the evaluation (eval/builtin.csv), for the view spheres
   std::string curves_csv;   ///< step,loss,objective,rgb,chamfer,laplacian,edge,success
   std::string config_toml;  ///< effective configuration
   std::string run_json;     ///< versions, seed, stages [{name,seconds,peak_rss_bytes}], hashes
@@ -51,6 +53,20 @@ struct ReportInput {
 /// The whole page. All text is escaped; nothing is loaded from elsewhere. Throws InputError for
 /// JSON that does not parse, unreadable assets and pictures of the wrong shape.
 [[nodiscard]] std::string render_report(const ReportInput& input);
+
+/// A run, or any set of evaluations, on the page that compares many.
+struct ComparedRun {
+  std::string name;
+  std::vector<std::string> records;  ///< evaluation records, JSON
+  std::string run_json;              ///< for the surrogates; may be empty
+};
+
+/// One row a run, renderer and victim, in four forms with the same numbers. Throws InputError for
+/// JSON that does not parse.
+struct Comparison {
+  std::string html, csv, json, latex;
+};
+[[nodiscard]] Comparison compare_runs(const std::vector<ComparedRun>& runs);
 
 /// Writes the page atomically. Throws as render_report, and ResourceError.
 void write_report(const ReportInput& input, const std::filesystem::path& html);

@@ -151,4 +151,9 @@ class Run {
   std::shared_ptr<void> lock_;  ///< released when the last copy of the run goes
 };
 
+/// The evaluation records (JSON text) in a folder but `without`, by file name; other JSON is left
+/// out.
+[[nodiscard]] std::vector<std::string> records_in(const std::filesystem::path& folder,
+                                                  const std::string& without = "");
+
 }  // namespace tt3d

@@ -1,0 +1,306 @@
+"""Renders views with MeshLab's window under Xvfb: cameras pasted, snapshots saved, by keyboard.
+
+Debian's MeshLab 2020.09 ends with a failed assertion on every OBJ file, so the OBJ is handed over
+as PLY, MeshLab's own format. A project file brings the rendering options.
+See docs/decisions/0010-meshlab-by-keyboard.md.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import toolkit
+
+# What MeshLab writes into a project for: textured triangles, vertex colours, lit per vertex or not.
+OPTIONS = {
+    False: "100001010000000000000000000001010010010010100000000100111010100000001101",
+    True: "100001010000000000000000000001011010010010100000000100111010100000001001",
+}
+PROJECT = """<!DOCTYPE MeshLabDocument>
+<MeshLabProject>
+ <MeshGroup>
+  <MLMesh label="object" filename="object.ply" visible="1">
+   <MLMatrix44>
+{matrix}</MLMatrix44>
+   <RenderingOption boxColor="234 234 234 255" solidColor="255 255 255 255" pointSize="3" \
+wireColor="64 64 64 255" pointColor="131 149 69 255" wireWidth="1">{options}</RenderingOption>
+  </MLMesh>
+ </MeshGroup>
+ <RasterGroup/>
+</MeshLabProject>
+"""
+# MeshLab crashes on rows that do not end in a space.
+IDENTITY = "1 0 0 0 \n0 1 0 0 \n0 0 1 0 \n0 0 0 1 \n"
+VIEW = """<!DOCTYPE ViewState>
+<project>
+ <VCGCamera TranslationVector="{translation} 1" LensDistortion="0 0" ViewportPx="{size} {size}"
+  PixelSizeMm="{pixel} {pixel}" CenterPx="{centre} {centre}" FocalMm="{focal}"
+  RotationMatrix="{rotation} " CameraType="0" BinaryData="0"/>
+ <ViewSettings NearPlane="{near}" FarPlane="{far}" TrackScale="1"/>
+</project>
+"""
+PIXEL_MM = 0.03
+FRAME_ROWS = 104  # rows of MeshLab's window above and below the drawing
+MAX_ROWS = 1200  # of the drawing
+START_SECONDS = float(os.environ.get("TT3D_MESHLAB_START", "90"))
+STEP_SECONDS = 20  # one dialog, one file: beyond that MeshLab hangs
+
+
+def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
+    """Polls until the condition holds; a hang is an error."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.03)
+    raise toolkit.ToolError(f"MeshLab hangs: no {what} after {seconds:.0f} s; it was ended")
+
+
+def read_obj(path: Path) -> tuple[Any, Any, Any, Any]:
+    """Positions, uvs and the two index arrays of a triangle OBJ as tt3d writes it."""
+    import numpy as np
+
+    vertices, uvs, faces, uv_faces = [], [], [], []
+    for line in path.read_text().splitlines():
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "v":
+            vertices.append(words[1:4])
+        elif words[0] == "vt":
+            uvs.append(words[1:3])
+        elif words[0] == "f":
+            corners = [word.split("/") for word in words[1:4]]
+            faces.append([int(c[0]) - 1 for c in corners])
+            uv_faces.append([int(c[1]) - 1 for c in corners])
+    return (
+        np.array(vertices, "<f4"),
+        np.array(uvs, "<f4"),
+        np.array(faces, "<i4"),
+        np.array(uv_faces, "<i4"),
+    )
+
+
+def write_ply(obj: Path, path: Path, texture: str) -> None:
+    """PLY with a texture place a corner, and white vertices, as MeshLab multiplies both."""
+    import numpy as np
+
+    vertices, uvs, faces, uv_faces = read_obj(obj)
+    points = np.zeros(len(vertices), dtype=[("p", "<f4", 3), ("c", "u1", 4)])
+    points["p"], points["c"] = vertices, 255
+    kind = [("n", "u1"), ("i", "<i4", 3), ("m", "u1"), ("t", "<f4", 6)]
+    corners = np.zeros(len(faces), dtype=kind)
+    corners["n"], corners["i"], corners["m"] = 3, faces, 6
+    corners["t"] = uvs[uv_faces].reshape(-1, 6)
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment TextureFile {texture}",
+        f"element vertex {len(vertices)}",
+        *[f"property float {axis}" for axis in "xyz"],
+        *[f"property uchar {channel}" for channel in ("red", "green", "blue", "alpha")],
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "property list uchar float texcoord",
+        "end_header\n",
+    ]
+    path.write_bytes("\n".join(header).encode() + points.tobytes() + corners.tobytes())
+
+
+def view_state(job: dict[str, Any], camera_to_world: list[float], rows: int) -> str:
+    """A camera as MeshLab's clipboard has it: axes of the camera as rows, minus its place."""
+    import numpy as np
+
+    matrix = np.array(camera_to_world).reshape(4, 4)
+    rotation = np.eye(4)
+    rotation[:3, :3] = matrix[:3, :3].T
+    numbers = lambda values: " ".join(f"{v:.9g}" for v in values)  # noqa: E731
+    return VIEW.format(
+        translation=numbers(-matrix[:3, 3]),
+        rotation=numbers(rotation.flatten()),
+        size=rows,
+        centre=rows // 2,
+        pixel=PIXEL_MM,
+        focal=job["fx"] * PIXEL_MM * rows / job["height"],
+        near=1e-2 * job["radius"],
+        far=1e2 * job["radius"],
+    )
+
+
+class Window:
+    """MeshLab on a display of its own."""
+
+    def __init__(self, folder: Path, rows: int) -> None:
+        """Starts display and MeshLab on folder/object.mlp."""
+        self.folder, self.taken = folder, 0
+        self.display = subprocess.Popen(
+            ["Xvfb", "-displayfd", "1", "-screen", "0", "1800x1400x24", "+extension", "GLX"],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        number = self.display.stdout.readline().decode().strip()
+        if not number:
+            raise toolkit.ToolError("Xvfb did not start")
+        home = folder / "home"
+        home.mkdir(mode=0o700, exist_ok=True)
+        self.env = {
+            **os.environ,
+            "DISPLAY": f":{number}",
+            "LIBGL_ALWAYS_SOFTWARE": "1",
+            "HOME": str(home),
+            "XDG_CONFIG_HOME": str(home),
+            "XDG_RUNTIME_DIR": str(home),
+            "LC_ALL": "C",
+        }
+        self.log = folder / "meshlab.log"
+        self.program = subprocess.Popen(
+            ["meshlab", str(folder / "object.mlp")],
+            cwd=folder,
+            env=self.env,
+            stdout=self.log.open("wb"),
+            stderr=subprocess.STDOUT,
+        )
+        self.name = wait_for(lambda: self.find("MeshLab.*mlp"), START_SECONDS, "window")
+        wait_for(
+            lambda: "Opened mesh" in self.log.read_text(errors="replace"), START_SECONDS, "mesh"
+        )
+        self.xdotool("windowsize", "--sync", self.name, "1700", str(rows + FRAME_ROWS))
+        self.xdotool("windowfocus", self.name)
+        time.sleep(1)
+
+    def logged(self, text: str) -> bool:
+        """Whether MeshLab has written a text into its log."""
+        return text in self.log.read_text(errors="replace")
+
+    def close(self) -> None:
+        """Ends both processes."""
+        for process in (getattr(self, "program", None), self.display):
+            if process is not None and process.poll() is None:
+                process.kill()
+                process.wait()
+
+    def find(self, title: str) -> str | None:
+        """The window of a title, if there is one. An ended MeshLab is an error."""
+        if self.program.poll() is not None:
+            lines = self.log.read_text(errors="replace").strip().splitlines() or ["no message"]
+            raise toolkit.ToolError(f"MeshLab ended: {lines[-1]}")
+        found = subprocess.run(
+            ["xdotool", "search", "--onlyvisible", "--name", title],
+            env=self.env,
+            capture_output=True,
+            text=True,
+            timeout=STEP_SECONDS,
+        ).stdout.split()
+        return found[0] if found else None
+
+    def xdotool(self, *words: str) -> None:
+        """Moves, focuses or types."""
+        subprocess.run(["xdotool", *words], env=self.env, check=True, timeout=STEP_SECONDS)
+
+    def menu(self, menu: str, *keys: str) -> None:
+        """Chooses an entry of a menu by its keys."""
+        self.xdotool("windowfocus", self.name)
+        self.xdotool("key", menu)
+        time.sleep(0.15)
+        self.xdotool("key", "--delay", "30", *keys)
+
+    def look(self, state: str) -> None:
+        """Windows > Paste clipboard to camera settings, the last entry but one."""
+        subprocess.run(
+            ["xclip", "-selection", "clipboard"],
+            env=self.env,
+            input=state.encode(),
+            check=True,
+            stderr=subprocess.DEVNULL,
+        )
+        self.menu("alt+w", "Up", "Up", "Return")
+        time.sleep(0.25)
+
+    def snapshot(self) -> Path:
+        """File > Save snapshot; the first time, the background is set to transparent."""
+        picture = self.folder / f"snapshot{self.taken:02}.png"
+        self.menu("alt+f", "t")
+        wait_for(lambda: self.find("Save snapshot"), STEP_SECONDS, "snapshot dialog")
+        time.sleep(0.1)
+        if self.taken == 0:
+            self.xdotool("key", "--delay", "30", *["Tab"] * 6, "Down")
+        self.xdotool("key", "Return")
+        self.taken += 1
+        name = f"Snapshot saved to ./{picture.name}"
+        wait_for(lambda: self.logged(name), STEP_SECONDS, picture.name)
+        return picture
+
+
+def resample(source: Path, target: str, job: dict[str, Any]) -> None:
+    """The middle of the drawing, area-averaged to the size asked for, colours premultiplied."""
+    import numpy as np
+    from PIL import Image
+
+    picture = np.asarray(Image.open(source).convert("RGBA"), np.float32) / 255
+    rows, columns = picture.shape[:2]
+    wide = round(rows * job["width"] / job["height"])
+    left = (columns - wide) // 2
+    if left < 0:
+        raise toolkit.InputProblem("--renderer meshlab: pictures must not be wider than 1.2:1")
+    picture = picture[:, left : left + wide]
+    picture[..., :3] *= picture[..., 3:]
+    size = (job["width"], job["height"])
+    planes = [
+        np.asarray(Image.fromarray(picture[..., k]).resize(size, Image.Resampling.BOX))
+        for k in range(4)
+    ]
+    alpha = planes[3][..., None]
+    color = np.stack(planes[:3], axis=2) / np.maximum(alpha, 1e-6)
+    rgba = np.concatenate([np.clip(color, 0, 1), alpha], axis=2)
+    Image.fromarray(np.round(rgba * 255).astype(np.uint8), "RGBA").save(target)
+
+
+def version(meshlab: str) -> str:
+    """The version of Debian's package; the program itself does not tell."""
+    shown = subprocess.run(
+        ["dpkg-query", "-W", "-f=${Version}", "meshlab"], capture_output=True, text=True
+    ).stdout
+    found = re.match(r"\d+\.\d+", shown)
+    return found.group(0) if found else Path(meshlab).name
+
+
+def render(job: dict[str, Any], path: str) -> str:
+    """Renders the job in one MeshLab window; returns MeshLab's version."""
+    purpose = "--renderer meshlab"
+    meshlab = toolkit.need_program("meshlab", purpose)
+    toolkit.need_program("Xvfb", purpose, "xvfb")
+    toolkit.need_program("xdotool", purpose)
+    toolkit.need_program("xclip", purpose)
+    if job["height"] > MAX_ROWS:
+        raise toolkit.InputProblem(f"{purpose}: pictures have at most {MAX_ROWS} rows")
+    from render_mitsuba import texture_of
+
+    folder, obj = Path(job["work"]), Path(job["asset"])
+    texture = texture_of(obj)
+    if texture is None:
+        raise toolkit.InputProblem(f"{obj}: {purpose} needs a texture")
+    os.symlink(texture, folder / f"texture{texture.suffix}")
+    write_ply(obj, folder / "object.ply", f"texture{texture.suffix}")
+    project = PROJECT.format(matrix=IDENTITY, options=OPTIONS[bool(job["lit"])])
+    (folder / "object.mlp").write_text(project)
+    rows = job["height"] * max(1, MAX_ROWS // job["height"])
+    window = None
+    try:
+        window = Window(folder, rows)
+        for i, view in enumerate(job["views"]):
+            window.look(view_state(job, view["camera_to_world"], rows))
+            picture = window.snapshot()
+            resample(picture, view["file"], job)
+            picture.unlink()
+            toolkit.progress(i + 1, len(job["views"]))
+    finally:
+        if window is not None:
+            window.close()
+    return version(meshlab)

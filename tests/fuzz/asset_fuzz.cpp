@@ -1,0 +1,26 @@
+// Any bytes as an asset: a mesh that passes its checks, or InputError. The first byte chooses: 'g'
+// GLB, anything else OBJ.
+
+#include "asset_source.h"
+#include "memory_file.h"
+
+namespace {
+
+void read_asset(const std::filesystem::path& path, bool glb) {
+  const tt3d::AssetSource source = glb ? tt3d::read_glb(path) : tt3d::read_obj(path);
+  const tt3d::TexturedMesh mesh = tt3d::merge_materials(source);
+  tt3d::check_mesh(mesh, path);
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
+  if (size == 0) return 0;
+  const tt3d::testing::MemoryFile file(data + 1, size - 1);
+  try {
+    read_asset(file.path(), data[0] == 'g');
+  } catch (const tt3d::InputError&) {
+    return 0;
+  }
+  return 0;
+}

@@ -1,0 +1,176 @@
+"""Videos that the project renders, scored again: turns, boxes, labels, tracking, bad files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+np = pytest.importorskip("numpy")
+Image = pytest.importorskip("PIL.Image")
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "python/tt3d_tools"))
+from tool_support import PROGRAM, TOY, tt3d, write_asset  # noqa: E402
+
+pytestmark = [
+    pytest.mark.skipif(not PROGRAM.exists(), reason=f"{PROGRAM} is not built"),
+    pytest.mark.skipif(
+        shutil.which("ffmpeg") is None, reason="ffmpeg is not installed (scripts/setup --all)"
+    ),
+]
+
+
+def ffmpeg(*words: object) -> None:
+    subprocess.run(["ffmpeg", "-v", "error", "-y", *map(str, words)], check=True)
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A turn in 2 s, blurred and compressed."""
+    folder = tmp_path_factory.mktemp("video")
+    obj = write_asset(folder)
+    done = tt3d(
+        "render", obj, "--video", "--seconds", 2, "--fps", 10, "--size", 160, "--blur", 2,
+        "--crf", 30, "--background", "#3060a0", "--out", folder / "turn.mp4",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder / "turn.mp4"
+
+
+def score(video: Path, out: Path, *options: object) -> tuple[dict, list[dict[str, str]]]:
+    done = tt3d(
+        "video-score", video, "--target", 1, "--victims", TOY, "--out", out / "score.json", *options
+    )
+    assert done.returncode == 0, done.stderr
+    rows = list(csv.DictReader((out / "score.csv").open()))
+    return json.loads((out / "score.json").read_text()), rows
+
+
+def test_the_turntable_is_a_video_of_its_length(video: Path) -> None:
+    from video_frames import probe
+
+    facts = probe(str(video))
+    assert (facts["width"], facts["height"]) == (160, 160)
+    assert facts["duration"] == pytest.approx(2, abs=0.11)
+    assert facts["rate"] == pytest.approx(10)
+
+
+def test_shares_can_be_counted_again_from_the_rows(video: Path, tmp_path: Path) -> None:
+    table = tmp_path / "backgrounds.csv"
+    table.write_text("start_seconds,end_seconds,label\n0,1,blue paper\n1,1.5,same again\n")
+    record, rows = score(video, tmp_path, "--frames", 10, "--backgrounds", table)
+    assert len(rows) == 10 == record["frames"]
+    hits = [row["top1_index"] == "1" for row in rows]
+    (victim,) = record["victims"]
+    assert victim["asr"] == pytest.approx(sum(hits) / 10)
+    paper = [h for h, row in zip(hits, rows, strict=True) if row["background"] == "blue paper"]
+    assert victim["backgrounds"]["blue paper"]["frames"] == len(paper) == 5
+    assert victim["backgrounds"]["blue paper"]["asr"] == pytest.approx(sum(paper) / len(paper))
+    assert sum(b["frames"] for b in victim["backgrounds"].values()) == 10
+    page = (tmp_path / "score.html").read_text()
+    assert page.count("<img ") == 10 and "blue paper" in page
+
+
+def test_rotation_of_a_phone_is_obeyed(video: Path, tmp_path: Path) -> None:
+    """A frame of 96 x 64, upright when turned: the red edge is at the top."""
+    picture = np.zeros((64, 96, 3), np.uint8)
+    picture[:, :16] = (255, 0, 0)
+    Image.fromarray(picture).save(tmp_path / "frame.png")
+    ffmpeg("-loop", 1, "-i", tmp_path / "frame.png", "-t", 1, "-pix_fmt", "yuv420p",
+           tmp_path / "flat.mp4")  # fmt: skip
+    ffmpeg("-i", tmp_path / "flat.mp4", "-c", "copy", "-metadata:s:v:0", "rotate=90",
+           tmp_path / "turned.mp4")  # fmt: skip
+    from video_frames import sample
+
+    job = {"video": str(tmp_path / "turned.mp4"), "frames": 2, "box": "", "mask": "",
+           "track": False, "folder": str(tmp_path)}  # fmt: skip
+    found = sample(job)
+    assert (found["width"], found["height"]) == (64, 96)
+    upright = np.asarray(Image.open(found["frames"][0]["file"]), float)
+    assert upright.shape[:2] == (96, 64)
+    assert upright[:10, :, 0].mean() > 200 and upright[30:, :, 0].mean() < 60
+
+
+def test_a_box_and_a_mask_cut_the_same(video: Path, tmp_path: Path) -> None:
+    mask = np.zeros((80, 80), np.uint8)
+    mask[10:60, 20:50] = 255  # at half the video's size
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    _, boxed = score(video, tmp_path, "--frames", 4, "--box", "40,20,60,100")
+    _, masked = score(video, tmp_path, "--frames", 4, "--mask", tmp_path / "mask.png")
+    assert boxed == masked
+    assert [boxed[0][k] for k in ("left", "top", "right", "bottom")] == ["40", "20", "100", "120"]
+
+
+def test_a_tracker_follows(tmp_path: Path) -> None:
+    """A textured square that moves 60 pixels to the right."""
+    pytest.importorskip("cv2")
+    random = np.random.default_rng(3)
+    patch = random.integers(0, 256, (40, 40, 3)).astype(np.uint8)
+    still = np.full((160, 240, 3), 90, np.uint8)
+    for i in range(30):
+        frame = still.copy()
+        frame[60:100, 40 + 2 * i : 80 + 2 * i] = patch
+        Image.fromarray(frame).save(tmp_path / f"f{i:03}.png")
+    ffmpeg("-framerate", 10, "-i", tmp_path / "f%03d.png", "-crf", 10, tmp_path / "moves.mp4")
+    _, rows = score(tmp_path / "moves.mp4", tmp_path, "--frames", 10, "--box", "36,56,48,48",
+                    "--track")  # fmt: skip
+    moved = int(rows[-1]["left"]) - int(rows[0]["left"])
+    seconds = float(rows[-1]["seconds"]) - float(rows[0]["seconds"])
+    assert moved == pytest.approx(20 * seconds, abs=6)
+
+
+def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
+    """4K frames at 60 a second; few of ten minutes' would already fill memory if they were kept."""
+    ffmpeg("-f", "lavfi", "-i", "testsrc2=size=3840x2160:rate=60:duration=2", "-preset",
+           "ultrafast", tmp_path / "large.mp4")  # fmt: skip
+    script = (
+        "import json, resource, sys\n"
+        "sys.path.insert(0, sys.argv[1])\n"
+        "from video_frames import sample\n"
+        "found = sample(json.loads(sys.argv[2]))\n"
+        "peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss\n"
+        "print(len(found['frames']), peak, child)\n"
+    )
+    job = {"video": str(tmp_path / "large.mp4"), "frames": 30, "box": "", "mask": "",
+           "track": False, "folder": str(tmp_path)}  # fmt: skip
+    tools = str(Path(__file__).resolve().parents[2] / "python/tt3d_tools")
+    done = subprocess.run(
+        [sys.executable, "-c", script, tools, json.dumps(job)], capture_output=True, text=True
+    )
+    frames, peak, child = map(int, done.stdout.split()[-3:])
+    assert frames == 30
+    assert peak < 400_000 and child < 1_500_000  # kB; 30 frames of 4K alone are 750 MB
+
+
+@pytest.mark.parametrize("content", [b"", b"not a video at all", b"\0" * 5000])
+def test_bad_files(tmp_path: Path, content: bytes) -> None:
+    bad = tmp_path / "bad.mp4"
+    bad.write_bytes(content)
+    done = tt3d("video-score", bad, "--target", 1, "--victims", TOY)
+    assert done.returncode == 2 and "bad.mp4" in done.stderr
+
+
+def test_bad_options(video: Path, tmp_path: Path) -> None:
+    def fails(*options: object) -> str:
+        done = tt3d("video-score", video, "--target", 1, "--victims", TOY, *options)
+        assert done.returncode == 2
+        return done.stderr
+
+    assert (
+        "no such video"
+        in tt3d("video-score", tmp_path / "absent.mp4", "--target", 1, "--victims", TOY).stderr
+    )
+    assert "160 x 160" in fails("--box", "100,100,100,100")
+    assert "LEFT,TOP" in fails("--box", "1;2;3")
+    table = tmp_path / "table.csv"
+    table.write_text("0,1,paper\n2,1,wrong order\n")
+    assert "table.csv:2" in fails("--backgrounds", table)
+    ffmpeg("-f", "lavfi", "-i", "sine=duration=1", tmp_path / "sound.mp4")
+    done = tt3d("video-score", tmp_path / "sound.mp4", "--target", 1, "--victims", TOY)
+    assert done.returncode == 2 and "no video stream" in done.stderr
