@@ -25,6 +25,7 @@ SMALL = (
     "timm:vit_tiny_patch16_224", "timm:convnext_atto", "timm:regnety_002", "timm:levit_128s",
     "timm:xcit_nano_12_p16_224", "timm:mixer_s16_224", "timm:mobilevit_xxs",
 )  # fmt: skip
+# Not visformer_tiny: with random weights PyTorch's own float32 gradients are 6 % off its float64 ones.
 TIMM = (
     "resnetv2_50", "resnest14d", "res2net50_14w_8s", "regnety_002", "tf_efficientnet_lite0",
     "mobilenetv3_small_050", "mobilenetv4_conv_small", "ghostnet_050", "rexnet_100", "dla34",
@@ -34,7 +35,7 @@ TIMM = (
     "pvt_v2_b0", "twins_svt_small", "swin_tiny_patch4_window7_224", "focalnet_tiny_srf",
     "convnext_atto", "convnextv2_atto", "inception_next_atto", "mixer_s16_224", "gmlp_ti16_224",
     "resmlp_12_224", "poolformer_s12", "efficientformer_l1", "edgenext_xx_small",
-    "mobilevit_xxs", "coatnet_nano_rw_224", "fastvit_t8", "visformer_tiny", "volo_d1_224",
+    "mobilevit_xxs", "coatnet_nano_rw_224", "fastvit_t8", "volo_d1_224",
     "halonet26t", "lambda_resnet26t", "sebotnet33ts_256", "gcresnext26ts", "bat_resnext26ts",
 )  # fmt: skip
 TORCHVISION = ("googlenet", "shufflenet_v2_x0_5", "squeezenet1_1", "maxvit_t", "swin_v2_t")
