@@ -7,6 +7,7 @@ process for all views.
 from __future__ import annotations
 
 import math
+import re
 import subprocess
 import sys
 import threading
@@ -39,14 +40,16 @@ def render(job: dict[str, Any], path: str) -> str:
     for line in child.stdout:
         if line.startswith("@progress"):
             print(line, end="", flush=True)
-        elif line.startswith(("Error", "tt3d:", "RuntimeError", "AttributeError")):
+        elif re.match(r"[\w.]*(Error|Exception)\b.*:", line):  # a traceback's last line
             lines.append(line.strip())
     child.wait()
     killer.cancel()
     if time.monotonic() - start >= limit:
         raise toolkit.ToolError(f"Blender was not done after {limit:.0f} s and was ended")
     if child.returncode != 0:
-        raise toolkit.ToolError(f"Blender failed: {lines[-1] if lines else 'no message'}")
+        # Blender's own "Error: script failed" comes after what failed.
+        told = [line for line in lines if "script failed" not in line] or ["no message"]
+        raise toolkit.ToolError(f"Blender failed: {told[-1]}")
     shown = subprocess.run([blender, "--version"], capture_output=True, text=True).stdout
     return shown.split()[1]
 
@@ -137,6 +140,7 @@ def set_up(bpy: Any, job: dict[str, Any]) -> Any:
     view.cycles.device = "CPU"
     view.cycles.samples = job["samples"]
     view.cycles.use_adaptive_sampling = False
+    view.cycles.use_denoising = False  # Debian builds Blender without a denoiser
     view.cycles.pixel_filter_type = "BOX"
     view.cycles.max_bounces = 3 if job["lit"] else 0
     view.render.film_transparent = True

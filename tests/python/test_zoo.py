@@ -25,7 +25,7 @@ SMALL = (
     "timm:vit_tiny_patch16_224", "timm:convnext_atto", "timm:regnety_002", "timm:levit_128s",
     "timm:xcit_nano_12_p16_224", "timm:mixer_s16_224", "timm:mobilevit_xxs",
 )  # fmt: skip
-# Not visformer_tiny: with random weights PyTorch's own float32 gradients are 6 % off its float64 ones.
+# Not visformer_tiny: with random weights PyTorch's float32 gradients are 6 % off its float64 ones.
 TIMM = (
     "resnetv2_50", "resnest14d", "res2net50_14w_8s", "regnety_002", "tf_efficientnet_lite0",
     "mobilenetv3_small_050", "mobilenetv4_conv_small", "ghostnet_050", "rexnet_100", "dla34",
