@@ -335,7 +335,7 @@ def test_curves_become_event_files(finished: Path, tmp_path: Path) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     run = shutil.copytree(finished / "out", tmp_path / "out")
-    command = [sys.executable, "-m", "tt3d_tools.tensorboard", run]
+    command = [sys.executable, "-m", "tt3d_tools.event_files", run]
     environment = os.environ | {"PYTHONPATH": str(ROOT / "python")}
     subprocess.run(command, check=True, env=environment, capture_output=True, timeout=120)
     events = EventAccumulator(str(run / "attack/tensorboard"))

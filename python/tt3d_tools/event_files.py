@@ -1,6 +1,6 @@
 """TensorBoard event files of an attack's curves.
 
-    python -m tt3d_tools.tensorboard RUN [--out FOLDER]
+    python -m tt3d_tools.event_files RUN [--out FOLDER]
 
 Reads RUN/attack/curves.csv and epochs.csv, writes RUN/attack/tensorboard. Needs the package of
 requirements/tensorboard.txt.
