@@ -2,7 +2,7 @@
 
 Debian's MeshLab 2020.09 ends with a failed assertion on every OBJ file, so the OBJ is handed over
 as PLY, MeshLab's own format. A project file brings the rendering options.
-See docs/decisions/0010-meshlab-by-keyboard.md.
+See docs/decisions/0012-meshlab-by-keyboard.md.
 """
 
 from __future__ import annotations
