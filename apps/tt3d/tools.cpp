@@ -21,16 +21,6 @@ namespace {
 
 constexpr double kToolSeconds = 1800;
 
-void save_mesh(const TexturedMesh& mesh, const fs::path& path) {
-  save_tensors(path,
-               {{"vertices", mesh.vertices},
-                {"faces", mesh.faces},
-                {"uvs", mesh.uvs},
-                {"uv_faces", mesh.uv_faces},
-                {"texture", mesh.texture}},
-               {});
-}
-
 /// The longest side of the bounding box.
 double longest_side(const TexturedMesh& mesh) {
   const at::Tensor span = std::get<0>(mesh.vertices.max(0)) - std::get<0>(mesh.vertices.min(0));
@@ -49,7 +39,7 @@ void write_asset(TexturedMesh mesh, const fs::path& out, double size_mm, Progres
   }
   if (!out.parent_path().empty()) make_folder(out.parent_path());
   const ExchangeFolder folder;
-  save_mesh(mesh, folder / "mesh.safetensors");
+  save_mesh_tensors(mesh, folder / "mesh.safetensors");
   (void)run_tool("export_mesh.py",
                  {(folder / "mesh.safetensors").string(), fs::absolute(out).string(),
                   fmt::format("{}", size_mm)},
@@ -106,7 +96,7 @@ void print_check(const PrintArguments& a, const Common& common) {
   const auto progress = make_progress(common);
   TexturedMesh mesh = load_asset(a.asset);
   const ExchangeFolder folder;
-  save_mesh(mesh, folder / "mesh.safetensors");
+  save_mesh_tensors(mesh, folder / "mesh.safetensors");
   const json job = {{"mesh", (folder / "mesh.safetensors").string()},
                     {"size_mm", a.size_mm},
                     {"wall_mm", a.wall_mm},

@@ -17,6 +17,11 @@ struct Placement {
   int64_t side;
   int64_t height, width;  ///< of the rendering
   int64_t size;           ///< of the picture, both ways
+
+  /// Channel c of picture n's background behind pixel `at`.
+  TT3D_HD T behind(int64_t n, int64_t c, int64_t at) const {
+    return background[(n * 3 + c) * side * side + (side == 1 ? 0 : at)];
+  }
 };
 
 /// The four pixels around a place, from the top left one, and their weights.
@@ -81,10 +86,8 @@ struct PlacePixel {
     visit_taps(p, taps, [&](int64_t pixel, T weight) {
       for (int c = 0; c < 4; ++c) sum[c] += weight * image[4 * pixel + c];
     });
-    const int64_t behind = p.side == 1 ? 0 : at, step = p.side * p.side;
     for (int c = 0; c < 3; ++c) {
-      out[(n * 3 + c) * plane + at] =
-          sum[c] + (1 - sum[3]) * p.background[(n * 3 + c) * step + behind];
+      out[(n * 3 + c) * plane + at] = sum[c] + (1 - sum[3]) * p.behind(n, c, at);
     }
   }
 };
@@ -97,11 +100,10 @@ struct PlaceBackwardPixel {
   Placement<T> p;
   TT3D_HD void operator()(int64_t n, int64_t row, int64_t column) const {
     const int64_t plane = p.size * p.size, at = row * p.size + column;
-    const int64_t behind = p.side == 1 ? 0 : at, step = p.side * p.side;
     T grad[4] = {};
     for (int c = 0; c < 3; ++c) {
       grad[c] = grad_out[(n * 3 + c) * plane + at];
-      grad[3] -= grad[c] * p.background[(n * 3 + c) * step + behind];
+      grad[3] -= grad[c] * p.behind(n, c, at);
     }
     const Taps<T> taps = taps_of(p, n, row, column);
     T* image = grad_images + n * p.height * p.width * 4;

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "tt3d/tensor_file.h"
 
 namespace tt3d {
 namespace fs = std::filesystem;
@@ -26,17 +25,6 @@ void widen(int64_t& low, int64_t& high, int64_t size) {
     low = std::clamp<int64_t>(low - (missing + 1) / 2, 0, size - std::min(kSmallestBox, size));
     high = low + std::min(kSmallestBox, size);
   }
-}
-
-fs::path save_mesh(const TexturedMesh& mesh, const fs::path& path) {
-  save_tensors(path,
-               {{"vertices", mesh.vertices},
-                {"faces", mesh.faces},
-                {"uvs", mesh.uvs},
-                {"uv_faces", mesh.uv_faces},
-                {"texture", mesh.texture}},
-               {});
-  return path;
 }
 
 }  // namespace
@@ -110,11 +98,11 @@ GeometryRecord compare_geometry(const TexturedMesh& clean, const TexturedMesh& a
                                 double time_limit_seconds, Progress& progress) {
   const ExchangeFolder folder;
   const fs::path out = folder / "geometry.json";
-  (void)run_tool(
-      "geometry.py",
-      {save_mesh(clean, folder / "clean.safetensors").string(),
-       save_mesh(adversarial, folder / "adversarial.safetensors").string(), out.string()},
-      "geometry", time_limit_seconds, progress);
+  const fs::path before = folder / "clean.safetensors", after = folder / "adversarial.safetensors";
+  save_mesh_tensors(clean, before);
+  save_mesh_tensors(adversarial, after);
+  (void)run_tool("geometry.py", {before.string(), after.string(), out.string()}, "geometry",
+                 time_limit_seconds, progress);
   const json j = json::parse(read_file(out));
   return {j.at("chamfer"), j.at("hausdorff"), j.at("normal_deviation_deg"),
           j.at("self_intersecting_faces_adversarial"), j.at("self_intersecting_faces_clean")};

@@ -24,6 +24,10 @@ struct TexturedMesh {
 /// indices out of range: InputError starting with `where`.
 void check_mesh(const TexturedMesh& mesh, const std::filesystem::path& where);
 
+/// Hands a mesh to the tools in Python: safetensors of its tensors under their names here. Throws
+/// ResourceError.
+void save_mesh_tensors(const TexturedMesh& mesh, const std::filesystem::path& path);
+
 /// Writes a self-contained binary glTF 2.0: one mesh, PNG texture, KHR_materials_unlit with a
 /// matte lit fallback. glTF is Y-up: (x, y, z) is written as (x, z, -y). Vertices are split where
 /// uvs differ, as glTF has one index for both. Throws InputError (see check_mesh) and
