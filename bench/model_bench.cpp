@@ -11,6 +11,7 @@
 #include <iostream>
 #include <string>
 
+#include "tt3d/core.h"
 #include "tt3d/model.h"
 
 namespace {
@@ -43,6 +44,7 @@ int main(int argc, char** argv) {
     std::cerr << "usage: model_bench MODEL BATCH THREADS\n";
     return 2;
   }
+  tt3d::keep_freed_memory();  // as the program does
   try {
     return serve(argv[1], std::atoll(argv[2]), std::atoi(argv[3]));
   } catch (const tt3d::Error& error) {

@@ -1,7 +1,6 @@
 #include <ATen/Context.h>
 #include <ATen/Parallel.h>
 
-#include <malloc.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -98,20 +97,12 @@ void sleep_when_busy(char** argv) {
   if (!unknown) ::execv(self.c_str(), argv);  // returns only where it failed: then threads spin
 }
 
-/// Tensors of a step come from the heap of the step before, not from the kernel, which zeroes every
-/// page anew: half of an attack step's time in the kernel, 5 % of the step. 32 MB is the largest
-/// threshold that glibc takes.
-void keep_freed_memory() {
-  ::mallopt(M_MMAP_THRESHOLD, 32 << 20);
-  ::mallopt(M_TRIM_THRESHOLD, 512 << 20);
-}
-
 }  // namespace
 }  // namespace tt3d::cli
 
 int main(int argc, char** argv) {
   tt3d::cli::sleep_when_busy(argv);
-  tt3d::cli::keep_freed_memory();
+  tt3d::keep_freed_memory();
   try {
     return tt3d::cli::run_program(argc, argv);
   } catch (const tt3d::Error& error) {

@@ -1,4 +1,5 @@
 #include <fcntl.h>
+#include <malloc.h>
 #include <poll.h>
 #include <signal.h>
 #include <spawn.h>
@@ -10,6 +11,7 @@
 #include <chrono>
 #include <cstring>
 #include <fstream>
+#include <limits>
 
 #include "tt3d/core.h"
 #include "tt3d/tool.h"
@@ -120,5 +122,10 @@ int64_t peak_memory_bytes() noexcept {
 }
 
 void reset_peak_memory() noexcept { std::ofstream("/proc/self/clear_refs") << "5"; }
+
+void keep_freed_memory() noexcept {
+  ::mallopt(M_MMAP_MAX, 0);  // memory from mmap goes back when it is freed
+  ::mallopt(M_TRIM_THRESHOLD, std::numeric_limits<int>::max());
+}
 
 }  // namespace tt3d
