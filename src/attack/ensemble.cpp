@@ -30,7 +30,7 @@ void check_same_labels(const AttackInput& input) {
 }  // namespace
 
 const std::vector<std::string>& ensemble_names() {
-  static const std::vector<std::string> names = {"losses", "logits", "gradients"};
+  static const std::vector<std::string> names = {"losses", "logits", "gradients", "views"};
   return names;
 }
 
@@ -56,6 +56,7 @@ Ensemble::Ensemble(const AttackInput& input, const AttackOptions& options, uint6
 }
 
 Tensor Ensemble::loss(const Tensor& pictures, int64_t step, std::vector<Tensor>& hits) const {
+  if (options_.ensemble == "views") return loss_of_shared_views(pictures, step, hits);
   const size_t models = input_.surrogates.size();
   const auto count = static_cast<int64_t>(models);
   Tensor total = at::zeros({}, pictures.options());
@@ -73,6 +74,21 @@ Tensor Ensemble::loss(const Tensor& pictures, int64_t step, std::vector<Tensor>&
     total = total + objective(logits(m, own, draw, hits), m);
   }
   return total / static_cast<double>(models);
+}
+
+Tensor Ensemble::loss_of_shared_views(const Tensor& pictures, int64_t step,
+                                      std::vector<Tensor>& hits) const {
+  const auto models = static_cast<int64_t>(input_.surrogates.size());
+  const int64_t views = pictures.size(0);
+  Tensor total = at::zeros({}, pictures.options());
+  for (int64_t view = 0; view < std::min(models, views); ++view) {
+    // Counted over all steps: with fewer views than models, each still has its turn.
+    const int64_t m = (step * views + view) % models;
+    const Tensor own = pictures.slice(0, view, views, models);
+    const Tensor answer = logits(static_cast<size_t>(m), own, step * models + m, hits);
+    total = total + objective(answer, static_cast<size_t>(m)) * static_cast<double>(own.size(0));
+  }
+  return total / static_cast<double>(views);
 }
 
 Tensor Ensemble::logits(size_t model, const Tensor& pictures, int64_t draw,

@@ -15,8 +15,8 @@ class Ensemble {
  public:
   /// Throws InputError where surrogates do not fit together, or the photographs are missing.
   Ensemble(const AttackInput& input, const AttackOptions& options, uint64_t seed);
-  /// pictures [N,4,H,W], premultiplied. `hits` receives each surrogate's share of pictures for
-  /// which the attack has its way.
+  /// pictures [N,4,H,W], premultiplied. `hits` receives the share of pictures for which the
+  /// attack has its way, of each surrogate that was asked.
   [[nodiscard]] at::Tensor loss(const at::Tensor& pictures, int64_t step,
                                 std::vector<at::Tensor>& hits) const;
 
@@ -25,6 +25,10 @@ class Ensemble {
   [[nodiscard]] double success(const at::Tensor& pictures) const;
 
  private:
+  /// The step's views dealt out to the surrogates in turn: the mean of losses in expectation, at the
+  /// price of one surrogate.
+  [[nodiscard]] at::Tensor loss_of_shared_views(const at::Tensor& pictures, int64_t step,
+                                                std::vector<at::Tensor>& hits) const;
   [[nodiscard]] at::Tensor won(size_t model, const at::Tensor& logits) const;
   [[nodiscard]] at::Tensor logits(size_t model, const at::Tensor& pictures, int64_t draw,
                                   std::vector<at::Tensor>& hits) const;

@@ -111,6 +111,29 @@ TEST_F(Pair, MeanOfGradientsOfLengthOne) {
   EXPECT_NEAR(ask({0, 1}).first, both.first, 1e-6);
 }
 
+TEST_F(Pair, SharedViewsAreDealtOutInTurn) {
+  options.ensemble = "views";
+  const auto both = ask({0, 1});
+  const auto first = ask({0}), second = ask({1});
+  // Picture 0 is the first surrogate's, picture 1 the second's.
+  const Tensor dealt = at::stack({first.second[0], second.second[1]});
+  EXPECT_TRUE(at::allclose(both.second, dealt, 1e-4, 1e-9));
+}
+
+TEST_F(Pair, WithFewerViewsThanSurrogatesEachHasItsTurn) {
+  options.ensemble = "views";
+  const Tensor one = pictures.narrow(0, 0, 1);
+  const Ensemble ensemble(input, options, 1);
+  std::vector<double> turns;
+  for (int64_t step = 0; step < 3; ++step) {
+    std::vector<Tensor> hits;
+    turns.push_back(value(ensemble.loss(one, step, hits)));
+    EXPECT_EQ(hits.size(), 1U);
+  }
+  EXPECT_NE(turns[0], turns[1]);
+  EXPECT_EQ(turns[0], turns[2]);
+}
+
 TEST_F(Pair, OnlyTheMeanOfLogitsNeedsTheSameLabels) {
   input.surrogates[1] = std::make_shared<testing::ColorClassifier>(
       7, std::vector<std::string>{"blue", "green", "red"});
