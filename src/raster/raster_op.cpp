@@ -135,6 +135,12 @@ struct Interpolate : public Function<Interpolate> {
   }
 };
 
+/// Where a gradient goes; null where it is not asked for.
+template <typename T>
+T* pointer_or_null(const Tensor& t) {
+  return t.defined() ? t.mutable_data_ptr<T>() : nullptr;
+}
+
 template <typename T>
 raster::AntialiasScene<T> scene_of(const Tensor& rast, const Tensor& clip, const Tensor& faces,
                                    const Tensor& silhouette) {
@@ -191,7 +197,7 @@ struct Antialias : public Function<Antialias> {
           color.const_data_ptr<scalar_t>(),
           grad.const_data_ptr<scalar_t>(),
           grad_color.mutable_data_ptr<scalar_t>(),
-          grad_clip.defined() ? grad_clip.mutable_data_ptr<scalar_t>() : nullptr,
+          pointer_or_null<scalar_t>(grad_clip),
           s};
       on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
@@ -199,13 +205,19 @@ struct Antialias : public Function<Antialias> {
   }
 };
 
+/// A texture [H,W,C] as PyTorch's kernels want pictures, [1,C,H,W] channels-last, and back; views.
+Tensor as_picture(const Tensor& texture) { return texture.permute({2, 0, 1}).unsqueeze(0); }
+Tensor as_texture(const Tensor& picture) {
+  return picture.squeeze(0).permute({1, 2, 0}).contiguous();
+}
+
 /// The chain of 2x2 box-filtered levels down to a side of one texel or an odd size.
 std::vector<Tensor> mipmaps(const Tensor& texture, bool with_levels) {
   std::vector<Tensor> chain = {texture};
   while (with_levels && chain.back().size(0) % 2 == 0 && chain.back().size(1) % 2 == 0) {
     const Tensor& t = chain.back();
-    chain.push_back(
-        t.view({t.size(0) / 2, 2, t.size(1) / 2, 2, t.size(2)}).mean({1, 3}).contiguous());
+    const Tensor halved = at::avg_pool2d(as_picture(t), {2, 2});
+    chain.push_back(as_texture(halved));
   }
   return chain;
 }
@@ -213,10 +225,10 @@ std::vector<Tensor> mipmaps(const Tensor& texture, bool with_levels) {
 /// Spreads each level's gradient over the four texels it averaged, finest last.
 void fold_mipmap_gradients(std::vector<Tensor>& grads) {
   for (size_t i = grads.size() - 1; i > 0; --i) {
-    const Tensor coarse = grads[i] * 0.25;
     Tensor& fine = grads[i - 1];
-    fine.view({fine.size(0) / 2, 2, fine.size(1) / 2, 2, fine.size(2)})
-        .add_(coarse.unsqueeze(1).unsqueeze(3));
+    const Tensor spread =
+        at::upsample_nearest2d(as_picture(grads[i]), {fine.size(0), fine.size(1)});
+    fine.add_(as_texture(spread), 0.25);
   }
 }
 
@@ -262,7 +274,8 @@ struct Texture : public Function<Texture> {
     const Tensor &uv = saved[0], &rast = saved[1], &derivatives = saved[2];
     const std::vector<Tensor> chain(saved.begin() + 3, saved.end());
     const Tensor grad = grad_list[0].contiguous();
-    Tensor grad_uv = at::zeros_like(uv);
+    Tensor grad_uv;
+    if (ctx->needs_input_grad(1)) grad_uv = at::zeros_like(uv);
     std::vector<Tensor> grads;
     if (ctx->needs_input_grad(0)) {
       for (const Tensor& level : chain) grads.push_back(at::zeros_like(level));
@@ -274,7 +287,7 @@ struct Texture : public Function<Texture> {
                                                            derivatives_of<scalar_t>(derivatives),
                                                            rast.const_data_ptr<scalar_t>(),
                                                            grad.const_data_ptr<scalar_t>(),
-                                                           grad_uv.mutable_data_ptr<scalar_t>(),
+                                                           pointer_or_null<scalar_t>(grad_uv),
                                                            s};
       on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });

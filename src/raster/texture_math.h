@@ -16,6 +16,7 @@ struct Footprint {
 };
 
 TT3D_HD int64_t wrap(int64_t i, int64_t n) {
+  if (i >= 0 && i < n) return i;  // nearly always, and a division costs twenty additions
   const int64_t r = i % n;
   return r < 0 ? r + n : r;
 }
@@ -110,7 +111,7 @@ struct TexturePixel {
   }
 };
 
-/// Adds to the levels' gradients where they are wanted; overwrites grad_uv.
+/// Adds to the levels' gradients and overwrites grad_uv, each where it is wanted.
 template <typename T>
 struct TextureBackwardPixel {
   MipChain<T> levels;
@@ -118,7 +119,7 @@ struct TextureBackwardPixel {
   const T* derivatives;
   const T* rast;
   const T* grad_out;
-  T* grad_uv;
+  T* grad_uv;  ///< may be null
   Sizes s;
   TT3D_HD void operator()(int64_t i) const {
     if (rast[4 * i + 3] == T(0)) return;
@@ -132,17 +133,33 @@ struct TextureBackwardPixel {
           footprint_of(static_cast<double>(uv[2 * i]), static_cast<double>(uv[2 * i + 1]),
                        level.height, level.width);
       for (int k = 0; k < 4; ++k) {
-        for (int64_t c = 0; c < s.channels; ++c) {
-          const auto g = static_cast<double>(grad_out[i * s.channels + c]) * share;
-          const int64_t texel = f.texel[k] * s.channels + c;
-          du += g * f.du[k] * static_cast<double>(level.texels[texel]);
-          dv += g * f.dv[k] * static_cast<double>(level.texels[texel]);
-          if (level.grad) accumulate(level.grad + texel, static_cast<T>(g * f.weight[k]));
-        }
+        const int64_t first = f.texel[k] * s.channels;
+        if (level.grad) add_texel(level.grad + first, i, share * f.weight[k]);
+        if (!grad_uv) continue;
+        const double along = share * along_texel(level.texels + first, i);
+        du += along * f.du[k];
+        dv += along * f.dv[k];
       }
     }
+    if (!grad_uv) return;
     grad_uv[2 * i] = static_cast<T>(du);
     grad_uv[2 * i + 1] = static_cast<T>(dv);
+  }
+
+  TT3D_HD void add_texel(T* grad, int64_t i, double weight) const {
+    for (int64_t c = 0; c < s.channels; ++c) {
+      const auto g = static_cast<double>(grad_out[i * s.channels + c]);
+      accumulate(grad + c, static_cast<T>(g * weight));
+    }
+  }
+
+  /// The pixel's gradient along a texel's colour.
+  TT3D_HD double along_texel(const T* texel, int64_t i) const {
+    double sum = 0;
+    for (int64_t c = 0; c < s.channels; ++c) {
+      sum += static_cast<double>(grad_out[i * s.channels + c]) * static_cast<double>(texel[c]);
+    }
+    return sum;
   }
 };
 
