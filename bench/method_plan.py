@@ -31,13 +31,11 @@ OTHERS = (
 )  # fmt: skip
 BETAS = (100, 1000, 10000)
 
-#: Views a step: the program's default, and where the preset has another.
-VIEWS_A_STEP = {"strong": 3}
-
-
-def views_a_step(method: str) -> int:
-    """Return how many pictures a step of the method renders."""
-    return VIEWS_A_STEP.get(method, 6)
+VIEWS_A_STEP = 6
+#: Presets that show a picture to one of the surrogates, not to all (attack.ensemble = views).
+DEALING = ("strong",)
+#: Several surrogates may be asked this many times as often, all together, as one.
+ENSEMBLE_SHARE = 2
 
 
 @dataclass(frozen=True)
@@ -51,6 +49,12 @@ class Cell:
     target: str
     surrogates: tuple[str, ...] = (LITE0,)
     settings: dict[str, str] = field(default_factory=dict, hash=False)
+
+    def steps(self, budget: int) -> int:
+        """Return the steps in which the surrogates see at most as many pictures as they may."""
+        several = len(self.surrogates) > 1
+        seen_by = 1 if self.method in DEALING else len(self.surrogates)
+        return budget * (ENSEMBLE_SHARE if several else 1) // (VIEWS_A_STEP * seen_by)
 
     @property
     def name(self) -> str:

@@ -7,7 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from method_plan import ARCHITECTURES, BETAS, METHODS, OTHERS, ROOT, VICTIMS, Cell
+from method_plan import (
+    ARCHITECTURES,
+    BETAS,
+    ENSEMBLE_SHARE,
+    METHODS,
+    OTHERS,
+    ROOT,
+    VICTIMS,
+    Cell,
+)
 
 IMAGES = ROOT / "docs/images"
 SHORT = {
@@ -207,7 +216,7 @@ def _missing(missing: list[Cell]) -> str:
 def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
     """Return the page of these attacks; draws its plots beside it."""
     results = Results(done)
-    parts = [INTRODUCTION.format(budget=budget)]
+    parts = [INTRODUCTION.format(budget=budget, share=ENSEMBLE_SHARE)]
     if results.rows("methods"):
         parts += [THROUGH_LITE0, results.transfer_table("methods"), BY_OBJECT,
                   results.object_table("methods")]  # fmt: skip
@@ -227,11 +236,12 @@ def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
 
 INTRODUCTION = """# Results
 
-Written by `scripts/method-table`; run it again to go on or after a change. Every attack renders
-{budget} pictures of 224 pixels and shows each to each of its surrogates; all else is the preset's
-([attack](attack.md#methods)). Success in %, on 100 held-out `dome` views of the exported GLB on
-white, a mean over the row's attacks; \\* marks models that were attacked. The interval (95 %) is a
-bootstrap clustered by object; with three objects it is wide, and with one it knows the views alone.
+Written by `scripts/method-table`; run it again to go on or after a change. Every attack shows
+its surrogate {budget} pictures of 224 pixels, or several surrogates {share} times as many, all
+together; all else is the preset's ([attack](attack.md#methods)). Success in %, on 100 held-out
+`dome` views of the exported GLB on white, a mean over the row's attacks; \\* marks models that
+were attacked. The interval (95 %) is a bootstrap clustered by object; with three objects it is
+wide, and with one it knows the views alone.
 """
 THROUGH_LITE0 = """## Methods
 

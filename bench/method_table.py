@@ -1,9 +1,9 @@
 """The attacks of the literature at equal budgets: runs what is missing, writes docs/results.md.
 
-    scripts/method-table [--presets NAME...] [--objects NAME...] [--budget PICTURES] [--out FOLDER]
+    scripts/method-table [--presets NAME...] [--objects NAME...] [--budget PASSES] [--out FOLDER]
                          [--limit SECONDS] [--report-only]
 
-Each attack renders the same number of pictures and shows each to each of its surrogates. Objects
+Each attack asks its surrogates equally often, all together; several twice as often as one. Objects
 are reconstructed once and shared. A finished attack is read, not run again, and an interrupted one
 goes on; the page is written from what there is and says what is missing.
 """
@@ -23,9 +23,9 @@ from method_plan import (
     OTHERS,
     ROOT,
     VICTIMS,
+    VIEWS_A_STEP,
     Cell,
     plan,
-    views_a_step,
 )
 
 SEED = 1
@@ -37,7 +37,7 @@ class Table:
     """The folder of the attacks, and the program that fills it."""
 
     def __init__(self, out: Path, program: Path, budget: int) -> None:
-        """Remember where everything is; `budget` is the number of rendered pictures an attack."""
+        """Remember where everything is; `budget` is how often an attack may ask its surrogate."""
         self.out, self.program, self.budget = out, program, budget
 
     def folder(self, cell: Cell) -> Path:
@@ -50,15 +50,15 @@ class Table:
         if not (folder / RECORD).is_file():
             return False
         config = json.loads((folder / "run.json").read_text(encoding="utf-8"))["config"]
-        return int(config["attack.steps"]) * int(config["attack.views_per_step"]) == self.budget
+        return int(config["attack.steps"]) == cell.steps(self.budget)
 
     def run(self, cell: Cell) -> None:
         """Attack, bake and score."""
         folder = self.folder(cell)
         self._share(self._object(cell.obj), folder)
         settings = {
-            "attack.steps": str(self.budget // views_a_step(cell.method)),
-            "attack.views_per_step": str(views_a_step(cell.method)),
+            "attack.steps": str(cell.steps(self.budget)),
+            "attack.views_per_step": str(VIEWS_A_STEP),
             "bake.resolution": "1024",
             **cell.settings,
         }
@@ -105,7 +105,8 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--presets", nargs="+", default=METHODS + OTHERS, metavar="NAME")
     parser.add_argument("--objects", nargs="+", default=tuple(OBJECTS), choices=OBJECTS)
-    parser.add_argument("--budget", type=int, default=1200, help="rendered pictures an attack")
+    parser.add_argument("--budget", type=int, default=1200,
+                        help="pictures that a surrogate sees in an attack")  # fmt: skip
     parser.add_argument("--out", type=Path, default=ROOT / "runs/table")
     parser.add_argument("--program", type=Path, default=ROOT / "build/release/tt3d")
     parser.add_argument("--page", type=Path, default=ROOT / "docs/results.md")
@@ -113,8 +114,8 @@ def parse_arguments() -> argparse.Namespace:
                         help="seconds after which no further attack is begun")  # fmt: skip
     parser.add_argument("--report-only", action="store_true", help="run nothing, write the page")
     options = parser.parse_args()
-    if options.budget % 6:
-        parser.error("--budget: expected a multiple of 6, the views a step")
+    if options.budget < VIEWS_A_STEP * len(VICTIMS):
+        parser.error(f"--budget: expected at least {VIEWS_A_STEP * len(VICTIMS)}")
     return options
 
 

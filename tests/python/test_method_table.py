@@ -56,6 +56,14 @@ def test_another_budget_is_another_attack(tmp_path: Path) -> None:
     assert not Table(tmp_path, tmp_path / "tt3d", 600).finished(cell)
 
 
+def test_several_surrogates_are_asked_equally_often_by_all_methods() -> None:
+    for cell in plan(*ALL):
+        shown_to = 1 if cell.method == "strong" else len(cell.surrogates)
+        asked = cell.steps(1200) * 6 * shown_to
+        allowed = 1200 if len(cell.surrogates) == 1 else 2400
+        assert allowed - 6 * len(cell.surrogates) < asked <= allowed
+
+
 def score(obj: str, share: float) -> method_report.Score:
     return method_report.Score(obj, {"a": share}, 100, 22.0, 0.9)
 
