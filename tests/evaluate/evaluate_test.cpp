@@ -58,6 +58,41 @@ TEST(Measures, WilsonIntervalOfATextbookCase) {
   EXPECT_EQ(wilson_interval(20, 20).high, 1);
 }
 
+/// 100 pixels a side, at the origin, looking along -z.
+Camera front_camera() {
+  Camera camera;
+  camera.camera_to_world = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+  camera.fx = camera.fy = 100;
+  camera.cx = camera.cy = 50;
+  camera.width = camera.height = 100;
+  return camera;
+}
+
+void expect_box(const PixelBox& box, int64_t left, int64_t top, int64_t right, int64_t bottom) {
+  EXPECT_EQ(box.left, left);
+  EXPECT_EQ(box.top, top);
+  EXPECT_EQ(box.right, right);
+  EXPECT_EQ(box.bottom, bottom);
+}
+
+TEST(ObjectBox, AroundTheProjections) {
+  const Tensor corners = at::tensor({-1.0, -0.5, -4.0, 1.0, 1.0, -4.0}).view({2, 3});
+  expect_box(object_box(front_camera(), corners), 25, 25, 75, 63);  // y up: 50 - 25 to 50 + 12.5
+}
+
+TEST(ObjectBox, SmallOutsideAndBehind) {
+  const Tensor speck = at::tensor({0.0, 0.0, -100.0}).view({1, 3});
+  const PixelBox box = object_box(front_camera(), speck);
+  EXPECT_EQ(box.right - box.left, 11);
+  EXPECT_EQ(box.bottom - box.top, 11);
+  EXPECT_TRUE(box.left <= 50 && box.right > 50);
+  const Tensor left_of_it = at::tensor({-50.0, 0.0, -4.0}).view({1, 3});
+  EXPECT_EQ(object_box(front_camera(), left_of_it).left, 0);
+  EXPECT_EQ(object_box(front_camera(), left_of_it).right, 11);
+  const Tensor behind = at::tensor({0.0, 0.0, -4.0, 0.0, 0.0, 1.0}).view({2, 3});
+  expect_box(object_box(front_camera(), behind), 0, 0, 100, 100);
+}
+
 TEST(AssetRenderer, ShowsTheTextureAndAntialiasesTheSilhouette) {
   const AssetRenderer renderer(ball(0.2F, 0.6F, 0.8F));
   const auto views = sample_views("ring", 1, 0, 2, 48, {{0, 0, 0}, 1, 3.2, 40});
