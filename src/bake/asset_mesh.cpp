@@ -5,7 +5,6 @@
 
 #include "asset_source.h"
 #include "tt3d/capture.h"
-#include "tt3d/tensor_file.h"
 
 namespace tt3d {
 namespace fs = std::filesystem;
@@ -53,16 +52,6 @@ void check_mesh(const TexturedMesh& mesh, const fs::path& where) {
       texture.scalar_type() != at::kByte || texture.numel() == 0) {
     throw InputError(where, "the mesh's texture must be a non-empty [H,W,3] uint8 tensor");
   }
-}
-
-void save_mesh_tensors(const TexturedMesh& mesh, const fs::path& path) {
-  save_tensors(path,
-               {{"vertices", mesh.vertices},
-                {"faces", mesh.faces},
-                {"uvs", mesh.uvs},
-                {"uv_faces", mesh.uv_faces},
-                {"texture", mesh.texture}},
-               {});
 }
 
 TexturedMesh load_asset(const fs::path& path) {
