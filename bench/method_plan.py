@@ -31,11 +31,17 @@ OTHERS = (
 )  # fmt: skip
 BETAS = (100, 1000, 10000)
 
-VIEWS_A_STEP = 6
+#: Views a step: the program's default, and where the preset has another.
+VIEWS_A_STEP = {"strong": 3}
 #: Presets that show a picture to one of the surrogates, not to all (attack.ensemble = views).
 DEALING = ("strong",)
 #: Several surrogates may be asked this many times as often, all together, as one.
 ENSEMBLE_SHARE = 2
+
+
+def views_a_step(method: str) -> int:
+    """Return how many pictures a step of the method renders."""
+    return VIEWS_A_STEP.get(method, 6)
 
 
 @dataclass(frozen=True)
@@ -54,7 +60,7 @@ class Cell:
         """Return the steps in which the surrogates see at most as many pictures as they may."""
         several = len(self.surrogates) > 1
         seen_by = 1 if self.method in DEALING else len(self.surrogates)
-        return budget * (ENSEMBLE_SHARE if several else 1) // (VIEWS_A_STEP * seen_by)
+        return budget * (ENSEMBLE_SHARE if several else 1) // (views_a_step(self.method) * seen_by)
 
     @property
     def name(self) -> str:

@@ -25,8 +25,8 @@ class Ensemble {
   [[nodiscard]] double success(const at::Tensor& pictures) const;
 
  private:
-  /// The step's views dealt out to the surrogates in turn: the mean of losses in expectation, at the
-  /// price of one surrogate.
+  /// The step's views dealt out to the surrogates in turn: the mean of losses in expectation, at
+  /// the price of one surrogate.
   [[nodiscard]] at::Tensor loss_of_shared_views(const at::Tensor& pictures, int64_t step,
                                                 std::vector<at::Tensor>& hits) const;
   [[nodiscard]] at::Tensor won(size_t model, const at::Tensor& logits) const;

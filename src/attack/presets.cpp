@@ -100,20 +100,11 @@ void triplanar(AttackOptions& o) {
   o.variation_weight = 1e-3;  // their smoothness
 }
 
-/// What carried furthest on the hen (decision 11): small even steps, and the object as large in the
-/// frame as a user's crop shows it. Give it several surrogates.
+/// What carries furthest at equal passes of the surrogates (decision 11): each view is shown to one
+/// of them, so that there are more views, in small steps. Give it several surrogates.
 void strong(AttackOptions& o) {
-  o.objective = "logit";
-  o.ensemble = "gradients";
-  o.appearance_rate = 5e-3;
-  o.schedule = "cosine";
-  o.final_rate = 0.1;
+  o.ensemble = "views";
   o.views_per_step = 3;
-  EotOptions& e = o.eot;
-  e.scale_low = 0.85;
-  e.scale_high = 1.2;
-  e.resolution = 0.5;
-  e.jpeg = 0.3;
 }
 
 constexpr const char* kTt3d = "Huang et al., TT3D, CVPR 2024";

@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 
-
 namespace tt3d {
 namespace fs = std::filesystem;
 using at::Tensor;

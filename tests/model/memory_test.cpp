@@ -80,7 +80,9 @@ TEST(Memory, SplittingBoundsWhatGradientsHold) {
   // Images, their normalised copy and their gradient: what the caller asks for.
   const auto images_bytes = static_cast<int64_t>(images.nbytes());
   EXPECT_LT(held_parts, 6 * images_bytes + (int64_t{3} * 8 << 20));
-  EXPECT_LT(2 * held_parts, held_whole);
+  // Without splitting the two are equal; typically it is 2.5 times, with some MB of the allocator's
+  // and of code that is read on the way.
+  EXPECT_LT(3 * held_parts, 2 * held_whole);
 }
 
 TEST(Memory, OneImageThatDoesNotFitIsAResourceError) {
