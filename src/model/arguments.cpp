@@ -4,6 +4,7 @@
 
 #include <limits>
 
+#include "json_numbers.h"
 #include "malformed.h"
 #include "tensor_reader.h"
 
@@ -93,14 +94,14 @@ ValueType value_type(const c10::TypePtr& type) {
 
 /// A number without symbols, as its own type.
 std::optional<IValue> literal_number(const std::string& tag, const Json& value) {
-  if (tag == "as_int") return IValue(value.get<int64_t>());
+  if (tag == "as_int") return IValue(read_integer(value));
   if (tag == "as_float") return IValue(read_real(value));
   if (tag == "as_bool") return IValue(value.get<bool>());
   if (tag == "as_scalar_type") {
-    return IValue(static_cast<int64_t>(scalar_type_of(value.get<int64_t>())));
+    return IValue(static_cast<int64_t>(scalar_type_of(read_integer(value))));
   }
-  if (tag == "as_memory_format") return IValue(memory_format(value.get<int64_t>()));
-  if (tag == "as_layout") return IValue(strided_layout(value.get<int64_t>()));
+  if (tag == "as_memory_format") return IValue(memory_format(read_integer(value)));
+  if (tag == "as_layout") return IValue(strided_layout(read_integer(value)));
   return std::nullopt;
 }
 

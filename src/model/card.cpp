@@ -5,6 +5,8 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "json_numbers.h"
+
 namespace tt3d::model {
 namespace {
 
@@ -140,24 +142,26 @@ class CardReader {
                         "export the model again",
                         kProbeRule));
       }
-      file.probe.seed = probe.at("seed").get<uint64_t>();
+      file.probe.seed = static_cast<uint64_t>(read_integer(probe.at("seed")));
       for (const Json& one : probe.at("cases")) file.probe.cases.push_back(read_case(one, file));
     } catch (const Json::exception& error) {
+      fail(fmt::format("'probe' is malformed: {}", error.what()));
+    } catch (const Malformed& error) {
       fail(fmt::format("'probe' is malformed: {}", error.what()));
     }
   }
 
   ProbeCase read_case(const Json& json, const CardFile& file) const {
     ProbeCase one;
-    one.batch = json.at("batch").get<int64_t>();
+    one.batch = read_integer(json.at("batch"));
     one.logits = json.at("logits").get<std::vector<std::vector<double>>>();
-    one.classes = json.at("classes").get<std::vector<int64_t>>();
+    for (const Json& index : json.at("classes")) one.classes.push_back(read_integer(index));
     one.gradient_norm = json.at("gradient_norm").get<double>();
     one.gradient = json.at("gradient").get<std::vector<double>>();
     const auto batch = static_cast<size_t>(one.batch);
     const auto labels = file.card.labels.size();
-    bool fine = one.batch >= 1 && one.batch <= kMaxProbeBatch && one.logits.size() == batch &&
-                one.classes.size() == batch && !one.gradient.empty();
+    bool fine = json.at("classes").is_array() && one.batch >= 1 && one.batch <= kMaxProbeBatch &&
+                one.logits.size() == batch && one.classes.size() == batch && !one.gradient.empty();
     for (const auto& row : one.logits) fine &= row.size() == labels;
     for (const int64_t index : one.classes) {
       fine &= index >= 0 && index < static_cast<int64_t>(labels);

@@ -5,6 +5,7 @@
 #include <unordered_map>
 
 #include "arguments.h"
+#include "json_numbers.h"
 #include "malformed.h"
 #include "operators.h"
 #include "symbolic.h"
@@ -63,7 +64,7 @@ GraphReader::GraphReader(const Archive& archive, const ModelLimits& limits) : li
 }
 
 void GraphReader::check_version() const {
-  const auto major = document_.at("schema_version").at("major").get<int64_t>();
+  const auto major = read_integer(document_.at("schema_version").at("major"));
   if (major != kMajorVersion) {
     throw Malformed(
         fmt::format("has export schema version {}, expected {} (torch 2.9 to 2.11); "
@@ -253,7 +254,7 @@ void GraphReader::read_output_spec() {
 
 void GraphReader::read_batch_range(const Json& size) {
   if (size.contains("as_int")) {
-    graph_.min_batch = graph_.max_batch = size["as_int"].get<int64_t>();
+    graph_.min_batch = graph_.max_batch = read_integer(size["as_int"]);
   } else {
     graph_.max_batch = kMaxBatch;
     const auto text = size.at("as_expr").at("expr_str").get<std::string>();
@@ -265,8 +266,8 @@ void GraphReader::read_batch_range(const Json& size) {
     const Json ranges = document_.value("range_constraints", Json::object());
     if (ranges.contains(symbol)) {
       const Json& range = ranges[symbol];
-      if (range.value("min_val", Json()).is_number()) graph_.min_batch = range["min_val"];
-      if (range.value("max_val", Json()).is_number()) graph_.max_batch = range["max_val"];
+      if (range.value("min_val", Json()).is_number_integer()) graph_.min_batch = range["min_val"];
+      if (range.value("max_val", Json()).is_number_integer()) graph_.max_batch = range["max_val"];
     }
   }
   graph_.min_batch = std::max<int64_t>(graph_.min_batch, 1);
@@ -289,8 +290,8 @@ void GraphReader::check_input_shape() {
       !sizes[2].contains("as_int") || !sizes[3].contains("as_int")) {
     throw Malformed("does not take float32 images [N,3,H,W] of fixed size H x W");
   }
-  graph_.height = sizes[2]["as_int"].get<int64_t>();
-  graph_.width = sizes[3]["as_int"].get<int64_t>();
+  graph_.height = read_integer(sizes[2]["as_int"]);
+  graph_.width = read_integer(sizes[3]["as_int"]);
   read_batch_range(sizes[0]);
 }
 
@@ -303,7 +304,7 @@ void GraphReader::check_output_shape() {
     throw Malformed(
         "does not give float32 logits [N,classes], nor a detector's scores [N,anchors,classes]");
   }
-  graph_.classes = sizes.back()["as_int"].get<int64_t>();
+  graph_.classes = read_integer(sizes.back()["as_int"]);
   if (graph_.classes < 2) throw Malformed("has fewer than two classes");
 }
 

@@ -3,6 +3,7 @@
 #include <ATen/ATen.h>
 #include <fmt/format.h>
 
+#include "json_numbers.h"
 #include "malformed.h"
 
 namespace tt3d::model {
@@ -71,7 +72,7 @@ std::vector<int64_t> read_ints(const Json& list, const char* what) {
   }
   std::vector<int64_t> values;
   for (const Json& item : list) {
-    values.push_back(item.at("as_int").get<int64_t>());
+    values.push_back(read_integer(item.at("as_int")));
     if (values.back() < 0) throw Malformed(fmt::format("{} has a negative entry", what));
   }
   return values;
@@ -110,13 +111,13 @@ void check_bytes(const std::vector<int64_t>& sizes, int64_t element_bytes, int64
 }
 
 at::Tensor view_of(const at::Tensor& bytes, const Json& meta, const ModelLimits& limits) {
-  if (meta.at("layout").get<int64_t>() != kStridedLayout) {
+  if (read_integer(meta.at("layout")) != kStridedLayout) {
     throw Malformed("is not a plain strided tensor");
   }
-  const at::ScalarType type = scalar_type_of(meta.at("dtype").get<int64_t>());
+  const at::ScalarType type = scalar_type_of(read_integer(meta.at("dtype")));
   const auto sizes = read_ints(meta.at("sizes"), "sizes");
   const auto strides = read_ints(meta.at("strides"), "strides");
-  const int64_t offset = meta.at("storage_offset").at("as_int").get<int64_t>();
+  const int64_t offset = read_integer(meta.at("storage_offset").at("as_int"));
   const auto element_bytes = static_cast<int64_t>(at::elementSize(type));
   const int64_t available = bytes.numel() / element_bytes;
   check_extent(sizes, strides, offset, available);

@@ -160,6 +160,9 @@ TEST_F(Refusal, WeightsBeyondTheirFile) {
       {"strides", {{{"as_int", int64_t{1} << 62}}, {{"as_int", int64_t{1} << 62}}}},
       {"storage_offset", {{"as_int", 1}}},
       {"storage_offset", {{"as_int", -1}}},
+      {"sizes", {{{"as_int", 7.5}}, {{"as_int", 8}}}},
+      {"storage_offset", {{"as_int", 4e23}}},
+      {"dtype", 1e300},
       {"dtype", 8},
       {"dtype", 99},
       {"layout", 1}};

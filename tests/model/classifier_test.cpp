@@ -143,6 +143,19 @@ TEST(Card, MissingOrWrongKeysAreRefused) {
   }
 }
 
+TEST(Card, ProbesNumbersAreWholeWhereTheyCount) {
+  const std::vector<std::function<void(Json&)>> edits = {
+      [](Json& probe) { probe["seed"] = 4e23; },
+      [](Json& probe) { probe["cases"][0]["batch"] = 4e23; },
+      [](Json& probe) { probe["cases"][0]["batch"] = 1.5; },
+      [](Json& probe) { probe["cases"][0]["classes"][0] = -1e300; },
+      [](Json& probe) { probe["cases"][0]["classes"] = 1; }};
+  for (const auto& edit : edits) {
+    const EditedCard edited([&](Json& card) { edit(card["probe"]); });
+    EXPECT_NE(edited.error().find("'probe'"), std::string::npos) << edited.error();
+  }
+}
+
 TEST(Card, MustBelongToTheArchive) {
   EXPECT_NE(
       EditedCard([](Json& card) { card["sha256"] = std::string(64, '0'); }).error().find("SHA-256"),
