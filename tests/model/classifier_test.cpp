@@ -55,39 +55,30 @@ TEST(Classifier, ProbesHoldWithEveryOption) {
   }
 }
 
-/// Central differences along the gradient of one image, where torch's batch_norm alone is wrong.
+/// Compares the gradient of random images with the central difference along it, where the signal
+/// stands clear of float32's rounding. The step is small because the toys bend and have kinks: of
+/// random images one in forty is more than 2 % off at 0.01, one in two hundred at this step.
+void expect_slope_along_gradient(const Classifier& model, int64_t batch) {
+  at::Tensor images = at::rand({batch, 3, 16, 16}).requires_grad_(true);
+  const at::Tensor weight = at::randn({batch, 7});
+  const auto gradient = torch::autograd::grad({(model.logits(images) * weight).sum()}, {images})[0];
+  const at::NoGradGuard no_gradients;
+  const double expected = gradient.norm().item<double>();
+  constexpr double kStep = 5e-4;
+  const at::Tensor move = gradient * (kStep / expected);
+  const at::Tensor change = (model.logits(images + move) - model.logits(images - move)) * weight;
+  EXPECT_NEAR(change.to(at::kDouble).sum().item<double>() / (2 * kStep), expected, 0.02 * expected);
+}
+
+/// One image, where torch's batch_norm alone is wrong.
 TEST(Classifier, GradientThroughBatchNormAtBatchOne) {
   const auto model = Classifier::load(toy("toy_norm"));
   EXPECT_GT(model->probe().gradient_cosine, 0.99999);
-  at::Tensor images = at::rand({1, 3, 16, 16}).requires_grad_(true);
-  const at::Tensor weight = at::randn({1, 7});
-  const auto gradient =
-      torch::autograd::grad({(model->logits(images) * weight).sum()}, {images})[0];
-  const at::NoGradGuard no_gradients;
-  const at::Tensor step = gradient / gradient.norm() * 0.003;
-  const double change = ((model->logits(images + step) - model->logits(images - step)) * weight)
-                            .to(at::kDouble)
-                            .sum()
-                            .item<double>();
-  const double expected = 0.006 * gradient.norm().item<double>();
-  EXPECT_NEAR(change, expected, 0.05 * expected);
+  expect_slope_along_gradient(*model, 1);
 }
 
 TEST(Classifier, GradientAgainstCentralDifferences) {
-  const auto model = Classifier::load(toy("toy_vit"));
-  at::Tensor images = at::rand({2, 3, 16, 16}).requires_grad_(true);
-  const at::Tensor weight = at::randn({2, 7});
-  const auto gradient =
-      torch::autograd::grad({(model->logits(images) * weight).sum()}, {images})[0];
-  const at::NoGradGuard no_gradients;
-  // Along the gradient, where the signal stands clear of float32 rounding.
-  const at::Tensor step = gradient / gradient.norm() * 0.01;
-  const double change = ((model->logits(images + step) - model->logits(images - step)) * weight)
-                            .to(at::kDouble)
-                            .sum()
-                            .item<double>();
-  const double expected = 0.02 * gradient.norm().item<double>();
-  EXPECT_NEAR(change, expected, 0.02 * expected);
+  expect_slope_along_gradient(*Classifier::load(toy("toy_vit")), 2);
 }
 
 TEST(Classifier, BatchIsTheSameAsOneByOne) {
