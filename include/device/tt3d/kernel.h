@@ -12,12 +12,18 @@
 #endif
 
 /// Marks the CPU loop of a kernel: compiled for AVX-512, AVX2 and plain x86-64, the best one the
-/// machine has chosen at load time.
+/// machine has chosen at load time. TT3D_FOR_EACH_CPU(DEFINE, T) does the same for loops that are
+/// written in vectors: it expands DEFINE(attributes, bytes of a vector, T) for each of the three.
 #if defined(__x86_64__) && !defined(__CUDACC__) && !defined(__clang__) && \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 #define TT3D_CPU_LOOP __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
+#define TT3D_FOR_EACH_CPU(DEFINE, T)                       \
+  DEFINE(__attribute__((target("arch=x86-64-v4"))), 64, T) \
+  DEFINE(__attribute__((target("arch=x86-64-v3"))), 32, T) \
+  DEFINE(__attribute__((target("default"))), 16, T)
 #else
 #define TT3D_CPU_LOOP
+#define TT3D_FOR_EACH_CPU(DEFINE, T) DEFINE(, 16, T)
 #endif
 
 namespace tt3d {
