@@ -14,6 +14,7 @@ from method_plan import (
     METHODS,
     OTHERS,
     ROOT,
+    TARGETS,
     VICTIMS,
     Cell,
 )
@@ -222,6 +223,11 @@ def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
                   results.object_table("methods")]  # fmt: skip
     if results.rows("methods").get("dual"):
         parts += [CURVES, curves_plot(results)]
+    if results.rows("other presets"):
+        parts += [OTHER_PRESETS, results.transfer_table("other presets")]
+    if results.rows("second target"):
+        parts += [SECOND_TARGET.format(target=TARGETS[1]), results.transfer_table("second target"),
+                  BY_OBJECT, results.object_table("second target")]  # fmt: skip
     if results.rows("leave-one-out"):
         parts += [LEFT_OUT, results.left_out_table()]
     if results.rows("ensemble"):
@@ -249,6 +255,8 @@ Through EfficientNet-Lite0 alone. "unseen": the mean over the five models that w
 """
 BY_OBJECT = "Mean success on the unseen models, by object:\n"
 CURVES = "The objective of `dual` over its steps:\n"
+OTHER_PRESETS = "## Other presets\n\nOn one object: what each is for is another matter.\n"
+SECOND_TARGET = "## Another target: {target}\n"
 LEFT_OUT = """## One architecture left out
 
 The surrogates are one model of each of the three other architectures; the figure is the success on
