@@ -1,0 +1,168 @@
+"""Attacked objects in other renderers: runs what is missing, writes docs/results-renderers.md.
+
+    scripts/renderer-table [RUN...] [--renderers NAME...] [--views N] [--light-steps N]
+                           [--out FOLDER] [--report-only]
+
+RUN is the folder of a finished run (default: the demo's, and a ball of scripts/method-table). Each
+renderer scores the run's exported files from the same cameras, without and with light. Then the
+first run's object is attacked shortly, once with lights drawn during the attack
+(`attack.eot.light`) and once without, and both are scored under Mitsuba's light.
+
+A finished evaluation is read, not run again; the page says what is missing.
+"""
+
+import argparse
+import json
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import renderer_report
+import runs
+from method_plan import LITE0, ROOT, VICTIMS
+
+RUNS = (ROOT / "runs/demo", ROOT / "runs/table/cells/methods/strong/soccer-ball-teapot")
+RENDERERS = ("builtin", "mitsuba", "blender", "meshlab")
+LIGHTS = ("0", "0.5")  # attack.eot.light
+PICTURES = 2  # views of the side-by-side
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A renderer, with its light or without."""
+
+    renderer: str
+    lit: bool
+
+    @property
+    def name(self) -> str:
+        """As files are called."""
+        return self.renderer + ("-lit" if self.lit else "")
+
+    @property
+    def options(self) -> list[str]:
+        """For the program."""
+        return ["--renderer", self.renderer, *(["--lit"] if self.lit else [])]
+
+
+def conditions(renderers: tuple[str, ...]) -> list[Condition]:
+    """Return the table's rows, unlit first; the built-in renderer knows no light."""
+    unlit = [Condition(r, False) for r in renderers]
+    return unlit + [Condition(r, True) for r in renderers if r != "builtin"]
+
+
+class Table:
+    """The folder of the evaluations, and the program that fills it."""
+
+    def __init__(self, out: Path, program: Path, views: int) -> None:
+        """Remember where everything is."""
+        self.out, self.program, self.views = out, program, views
+
+    def record(self, run: Path, condition: Condition) -> Path:
+        """Return the file of an evaluation."""
+        return self.out / renderer_report.run_name(run) / f"{condition.name}.json"
+
+    def finished(self, run: Path, condition: Condition) -> bool:
+        """Whether the evaluation is there, of the asset as it is now and with as many views."""
+        path = self.record(run, condition)
+        if not path.is_file():
+            return False
+        record = json.loads(path.read_text(encoding="utf-8"))
+        asset = run / "asset/adversarial.glb"
+        return record["views"]["count"] == self.views and (
+            record["asset_sha256"] == runs.sha256(asset)
+        )
+
+    def score(self, run: Path, condition: Condition) -> None:
+        """Evaluate, and draw the views of the side-by-side."""
+        own = json.loads((run / "eval/builtin.json").read_text(encoding="utf-8"))
+        out, asset = self.record(run, condition), run / "asset/adversarial.glb"
+        out.parent.mkdir(parents=True, exist_ok=True)
+        runs.tt3d(self.program, "render", asset, "--views", str(PICTURES), *condition.options,
+                  "--out", out.with_suffix(""))  # fmt: skip
+        runs.tt3d(self.program, "evaluate", asset, "--clean", run / "asset/clean.glb",
+                  "--target", str(own["target"]["index"]),
+                  "--true-class", str(own["true_class"]["index"]), "--victims", *VICTIMS,
+                  "--views", str(self.views), *condition.options, "--out", out)  # fmt: skip
+
+    def attack_with_light(self, run: Path, light: str, steps: int) -> Path:
+        """Attack the run's object with lights of this strength; returns the new run's folder."""
+        folder = self.out / f"light/{light}-{steps}"
+        if (folder / "eval/builtin.json").is_file():
+            return folder
+        own = json.loads((run / "eval/builtin.json").read_text(encoding="utf-8"))
+        runs.share_object(run, folder)
+        settings = (f"attack.steps={steps}", f"attack.eot.light={light}", "bake.resolution=1024")
+        runs.tt3d(self.program, "attack", folder, "--target", str(own["target"]["index"]),
+                  "--surrogate", LITE0, *(w for s in settings for w in ("--set", s)))  # fmt: skip
+        runs.tt3d(self.program, "bake", folder)
+        runs.tt3d(self.program, "evaluate", folder / "asset/adversarial.glb", "--clean",
+                  folder / "asset/clean.glb", "--target", str(own["target"]["index"]),
+                  "--true-class", str(own["true_class"]["index"]), "--victims", *VICTIMS,
+                  "--views", str(self.views), "--out", folder / "eval/builtin.json")  # fmt: skip
+        return folder
+
+
+def parse_arguments() -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("runs", nargs="*", type=Path, default=list(RUNS), metavar="RUN")
+    parser.add_argument("--renderers", nargs="+", default=RENDERERS, choices=RENDERERS)
+    parser.add_argument("--views", type=int, default=20)
+    parser.add_argument("--light-steps", type=int, default=200,
+                        help="steps of the attacks with and without lights; 0: none")  # fmt: skip
+    parser.add_argument("--out", type=Path, default=ROOT / "runs/renderers")
+    parser.add_argument("--program", type=Path, default=ROOT / "build/release/tt3d")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs/results-renderers.md")
+    parser.add_argument("--report-only", action="store_true", help="run nothing, write the page")
+    options = parser.parse_args()
+    for run in options.runs:
+        if not (run / "eval/builtin.json").is_file():
+            parser.error(f"{run}: expected a finished run folder, with eval/builtin.json")
+    return options
+
+
+def fill(table: Table, run: Path, rows: list[Condition]) -> None:
+    """Score a run in all renderers; one that fails is said and left out."""
+    for row in rows:
+        if table.finished(run, row):
+            continue
+        start = time.monotonic()
+        try:
+            table.score(run, row)
+            print(f"{run.name}, {row.name}: {time.monotonic() - start:.0f} s", flush=True)
+        except subprocess.CalledProcessError as error:
+            print(f"{run.name}, {row.name}: exit code {error.returncode}", flush=True)
+
+
+def main() -> None:
+    """Run the command line."""
+    options = parse_arguments()
+    table = Table(options.out.absolute(), options.program.absolute(), options.views)
+    rows = conditions(tuple(options.renderers))
+    lit = Condition("mitsuba", True)
+    attacks = {}
+    if not options.report_only:
+        for run in options.runs:
+            fill(table, run, rows)
+    for light in LIGHTS if options.light_steps else ():
+        if options.report_only:
+            attacks[light] = table.out / f"light/{light}-{options.light_steps}"
+        else:
+            attacks[light] = table.attack_with_light(options.runs[0], light, options.light_steps)
+            fill(table, attacks[light], [lit])
+    records = {run: {row: table.record(run, row) for row in rows if table.finished(run, row)}
+               for run in options.runs}  # fmt: skip
+    lights = {
+        light: (folder / "eval/builtin.json", table.record(folder, lit))
+        for light, folder in attacks.items()
+        if table.record(folder, lit).is_file()
+    }
+    text = renderer_report.page(records, lights, len(rows), options.light_steps)
+    options.page.write_text(text, encoding="utf-8")
+    print(f"{sum(map(len, records.values()))} of {len(rows) * len(options.runs)}: {options.page}")
+
+
+if __name__ == "__main__":
+    main()
