@@ -110,7 +110,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("runs", nargs="*", type=Path, default=list(RUNS), metavar="RUN")
     parser.add_argument("--renderers", nargs="+", default=RENDERERS, choices=RENDERERS)
     parser.add_argument("--views", type=int, default=20)
-    parser.add_argument("--light-steps", type=int, default=200,
+    parser.add_argument("--light-steps", type=int, default=150,
                         help="steps of the attacks with and without lights; 0: none")  # fmt: skip
     parser.add_argument("--out", type=Path, default=ROOT / "runs/renderers")
     parser.add_argument("--program", type=Path, default=ROOT / "build/release/tt3d")
