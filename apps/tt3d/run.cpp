@@ -105,7 +105,7 @@ void report_runs(Arguments& a, const Common& common) {
     }
     compared.push_back({folder.filename().empty() ? folder.parent_path().filename().string()
                                                   : folder.filename().string(),
-                        records_in(folder / "eval"),
+                        records_in(folder / "eval").evaluations,
                         fs::exists(folder / "run.json") ? read_file(folder / "run.json") : ""});
   }
   const Comparison page = compare_runs(compared);

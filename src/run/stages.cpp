@@ -375,18 +375,21 @@ std::vector<ReportView> report_views(const fs::path& run, const json& record, in
 
 }  // namespace
 
-std::vector<std::string> records_in(const fs::path& folder, const std::string& without) {
+RecordTexts records_in(const fs::path& folder, const std::string& without) {
   std::vector<fs::path> files;
   for (const auto& entry : fs::directory_iterator(folder)) {
     const fs::path& path = entry.path();
     if (path.extension() == ".json" && path.filename() != without) files.push_back(path);
   }
   std::sort(files.begin(), files.end());
-  std::vector<std::string> records;
+  RecordTexts records;
   for (const fs::path& path : files) {
-    std::string record = read_file(path);
-    const json j = json::parse(record, nullptr, false);
-    if (j.is_object() && j.contains("victims") && j.contains("renderer")) records.push_back(record);
+    const std::string text = read_file(path);
+    const json j = json::parse(text, nullptr, false);
+    if (!j.is_object()) continue;
+    if (j.contains("victims") && j.contains("renderer")) records.evaluations.push_back(text);
+    if (j.contains("task") && j.contains("shares")) records.judges.push_back(text);
+    if (j.contains("victims") && j.contains("video")) records.videos.push_back(text);
   }
   return records;
 }
@@ -403,7 +406,10 @@ void Run::run_report(Progress& progress) {
   input.clean_glb = folder_ / "asset" / "clean.glb";
   input.adversarial_glb = folder_ / "asset" / "adversarial.glb";
   input.views_csv = read_file(folder_ / "eval" / "builtin.csv");
-  input.other_records = records_in(folder_ / "eval", "builtin.json");
+  RecordTexts others = records_in(folder_ / "eval", "builtin.json");
+  input.other_records = std::move(others.evaluations);
+  input.judge_records = std::move(others.judges);
+  input.video_records = std::move(others.videos);
   input.curves_csv = read_file(folder_ / "attack" / "curves.csv");
   input.config_toml = config_toml(config_);
   save();  // stages so far

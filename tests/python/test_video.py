@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -124,10 +125,8 @@ def test_a_tracker_follows(tmp_path: Path) -> None:
     assert moved == pytest.approx(20 * seconds, abs=6)
 
 
-def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
-    """4K frames at 60 a second; few of ten minutes' would already fill memory if they were kept."""
-    ffmpeg("-f", "lavfi", "-i", "testsrc2=size=3840x2160:rate=60:duration=2", "-preset",
-           "ultrafast", tmp_path / "large.mp4")  # fmt: skip
+def sample_measured(video: Path, frames: int) -> tuple[int, int, int]:
+    """Frames sampled, and the peak memory in kB of the sampling and of ffmpeg."""
     script = (
         "import json, resource, sys\n"
         "sys.path.insert(0, sys.argv[1])\n"
@@ -139,15 +138,53 @@ def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
         "child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss\n"
         "print(len(found['frames']), peak, child)\n"
     )
-    job = {"video": str(tmp_path / "large.mp4"), "frames": 30, "box": "", "mask": "",
-           "track": False, "folder": str(tmp_path)}  # fmt: skip
+    job = {"video": str(video), "frames": frames, "box": "", "mask": "",
+           "track": False, "folder": str(video.parent)}  # fmt: skip
     tools = str(Path(__file__).resolve().parents[2] / "python/tt3d_tools")
     done = subprocess.run(
         [sys.executable, "-c", script, tools, json.dumps(job)], capture_output=True, text=True
     )
-    frames, peak, child = map(int, done.stdout.split()[-3:])
+    sampled, peak, child = map(int, done.stdout.split()[-3:])
+    return sampled, peak, child
+
+
+def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
+    """4K frames at 60 a second; few of ten minutes' would already fill memory if they were kept."""
+    ffmpeg("-f", "lavfi", "-i", "testsrc2=size=3840x2160:rate=60:duration=2", "-preset",
+           "ultrafast", tmp_path / "large.mp4")  # fmt: skip
+    frames, peak, child = sample_measured(tmp_path / "large.mp4", 30)
     assert frames == 30
     assert peak < 400_000 and child < 1_500_000  # kB; 30 frames of 4K alone are 750 MB
+
+
+def test_ten_minutes_of_4k_take_seconds(tmp_path: Path) -> None:
+    """36,000 frames of 4K: decoding all would take many minutes."""
+    ffmpeg("-f", "lavfi", "-i", "color=teal:size=3840x2160:rate=60:duration=2", "-preset",
+           "ultrafast", tmp_path / "two.mp4")  # fmt: skip
+    (tmp_path / "list.txt").write_text("file two.mp4\n" * 300)
+    ffmpeg("-f", "concat", "-i", tmp_path / "list.txt", "-c", "copy", tmp_path / "ten.mp4")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    frames, peak, child = sample_measured(tmp_path / "ten.mp4", 30)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime - before.ru_utime
+    assert frames == 30
+    assert peak < 400_000 and child < 1_500_000  # kB
+    assert spent < 60  # seconds of all processors
+
+
+def test_frames_far_apart_are_those_of_their_time(tmp_path: Path) -> None:
+    """A minute that brightens evenly; every sixth second of it is asked for."""
+    from video_frames import sample
+
+    ffmpeg("-f", "lavfi", "-i", "nullsrc=size=64x48:rate=10:duration=60,geq=lum='16+3.5*T':"
+           "cb=128:cr=128", "-g", 300, tmp_path / "dawn.mp4")  # fmt: skip
+    job = {"video": str(tmp_path / "dawn.mp4"), "frames": 10, "box": "", "mask": "",
+           "track": False, "folder": str(tmp_path)}  # fmt: skip
+    found = sample(job)["frames"]
+    assert [f["seconds"] for f in found] == pytest.approx([6.0 * i for i in range(10)])
+    assert [f["index"] for f in found] == [60 * i for i in range(10)]
+    levels = [np.asarray(Image.open(f["file"]), float).mean() for f in found]
+    assert levels == pytest.approx([3.5 * 6 * i * 255 / 219 for i in range(10)], abs=4)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a video at all", b"\0" * 5000])

@@ -151,9 +151,15 @@ class Run {
   std::shared_ptr<void> lock_;  ///< released when the last copy of the run goes
 };
 
-/// The evaluation records (JSON text) in a folder but `without`, by file name; other JSON is left
-/// out.
-[[nodiscard]] std::vector<std::string> records_in(const std::filesystem::path& folder,
-                                                  const std::string& without = "");
+/// The records (JSON text) of a folder by kind, each kind by file name.
+struct RecordTexts {
+  std::vector<std::string> evaluations;  ///< of `tt3d evaluate`
+  std::vector<std::string> judges;       ///< of `tt3d judge`
+  std::vector<std::string> videos;       ///< of `tt3d video-score`
+};
+
+/// Reads a folder's records but the file `without`; other JSON is left out.
+[[nodiscard]] RecordTexts records_in(const std::filesystem::path& folder,
+                                     const std::string& without = "");
 
 }  // namespace tt3d
