@@ -53,6 +53,7 @@ GROUND_CORNERS = 64
 FRAME_ROWS = 104  # rows of MeshLab's window above and below the drawing
 MAX_ROWS = 1200  # of the drawing
 START_SECONDS = float(os.environ.get("TT3D_MESHLAB_START", "90"))
+DIALOG_PATIENCE = (6, 12)  # seconds, after each of which the keys are sent again
 STEP_SECONDS = 20  # one dialog, one file: beyond that MeshLab hangs
 
 
@@ -175,7 +176,7 @@ class Window:
 
     def __init__(self, folder: Path, rows: int, layers: int) -> None:
         """Starts display and MeshLab on folder/object.mlp, which has `layers` meshes."""
-        self.folder, self.taken = folder, 0
+        self.folder, self.taken, self.last = folder, 0, b""
         self.display = subprocess.Popen(
             ["Xvfb", "-displayfd", "1", "-screen", "0", "1800x1400x24", "+extension", "GLX"],
             stdout=subprocess.PIPE,
@@ -249,6 +250,18 @@ class Window:
         time.sleep(0.15)
         self.xdotool("key", "--delay", "30", *keys)
 
+    def open_dialog(self, title: str, menu: str, *keys: str) -> None:
+        """Opens a menu's dialog; asks again where a busy machine has lost the keys."""
+        for patience in (*DIALOG_PATIENCE, None):
+            self.menu(menu, *keys)
+            try:
+                wait_for(lambda: self.find(title), patience or STEP_SECONDS, f"dialog {title}")
+                return
+            except toolkit.ToolError:
+                if patience is None or self.program.poll() is not None:
+                    raise
+                self.xdotool("key", "Escape")
+
     def look(self, state: str) -> None:
         """Windows > Paste clipboard to camera settings, the last entry but one."""
         subprocess.run(
@@ -264,8 +277,7 @@ class Window:
     def snapshot(self) -> Path:
         """File > Save snapshot; the first time, the background is set to transparent."""
         picture = self.folder / f"snapshot{self.taken:02}.png"
-        self.menu("alt+f", "t")
-        wait_for(lambda: self.find("Save snapshot"), STEP_SECONDS, "snapshot dialog")
+        self.open_dialog("Save snapshot", "alt+f", "t")
         time.sleep(0.1)
         if self.taken == 0:
             self.xdotool("key", "--delay", "30", *["Tab"] * 6, "Down")
@@ -273,6 +285,17 @@ class Window:
         self.taken += 1
         name = f"Snapshot saved to ./{picture.name}"
         wait_for(lambda: self.logged(name), STEP_SECONDS, picture.name)
+        return picture
+
+    def look_and_shoot(self, state: str) -> Path:
+        """The snapshot from a camera; once more where it shows what the last one did."""
+        for _ in range(2):
+            self.look(state)
+            picture = self.snapshot()
+            shown = picture.read_bytes()
+            if shown != self.last:
+                break
+        self.last = shown
         return picture
 
 
@@ -307,8 +330,7 @@ def shoot(job: dict[str, Any], views: list[Any], folder: Path, layers: int) -> I
     try:
         window = Window(folder, rows, layers)
         for view in views:
-            window.look(view_state(job, view["camera_to_world"], rows))
-            picture = window.snapshot()
+            picture = window.look_and_shoot(view_state(job, view["camera_to_world"], rows))
             resample(picture, view["file"], job)
             picture.unlink()
             yield
