@@ -195,6 +195,16 @@ def test_bad_files(tmp_path: Path, content: bytes) -> None:
     assert done.returncode == 2 and "bad.mp4" in done.stderr
 
 
+def test_a_video_without_frames_and_a_cut_one(video: Path, tmp_path: Path) -> None:
+    none, cut = tmp_path / "none.mp4", tmp_path / "cut.mp4"
+    ffmpeg("-f", "lavfi", "-i", "color=size=64x48", "-frames:v", 0, none)
+    cut.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
+    for bad in (none, cut):
+        done = tt3d("video-score", bad, "--target", 1, "--victims", TOY)
+        assert done.returncode == 2
+        assert bad.name in done.stderr and len(done.stderr.strip().splitlines()) == 1
+
+
 def test_bad_options(video: Path, tmp_path: Path) -> None:
     def fails(*options: object) -> str:
         done = tt3d("video-score", video, "--target", 1, "--victims", TOY, *options)
