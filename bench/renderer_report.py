@@ -46,8 +46,10 @@ def cells(record: dict[str, Any], seen: list[str]) -> list[str]:
     line = []
     for name in VICTIMS:
         victim = by_name[name]
-        star = "\\*" if name in seen else ""
-        line.append(f"{100 * victim['asr']:.0f}{star} ({100 * victim['clean_accuracy']:.0f})")
+        text = f"{100 * victim['asr']:.0f}" + ("\\*" if name in seen else "")
+        if victim["clean_accuracy"] is not None:
+            text += f" ({100 * victim['clean_accuracy']:.0f})"
+        line.append(text)
     unseen = [by_name[v]["asr"] for v in VICTIMS if v not in seen]
     return [*line, f"{100 * sum(unseen) / len(unseen):.0f}" if unseen else "-"]
 
@@ -79,8 +81,9 @@ def light_section(lights: dict[str, tuple[Path, Path]], steps: int) -> str:
     for light, (own, lit) in lights.items():
         for path, where in ((own, "built in, unlit"), (lit, "Mitsuba, lit")):
             record = read(path)
-            psnr = f"{record['naturalness']['psnr']:.1f}"
-            rows.append([light, where, *cells(record, ["efficientnet_lite0"]), psnr])
+            psnr = record["naturalness"]["psnr"]
+            shown = "" if psnr is None else f"{psnr:.1f}"
+            rows.append([light, where, *cells(record, ["efficientnet_lite0"]), shown])
     header = ["`attack.eot.light`", "scored", *(SHORT[v] for v in VICTIMS), "unseen", "PSNR"]
     return LIGHT.format(steps=steps) + table(header, rows)
 
@@ -127,9 +130,9 @@ def page(records: Records, lights: dict[str, tuple[Path, Path]], asked: int, ste
     reading = ROOT / "docs/results-renderers-reading.md"
     if reading.is_file():
         parts += ["## What it says\n", reading.read_text(encoding="utf-8")]
-    missing = {run: asked - len(done) for run, done in records.items() if len(done) < asked}
-    if missing:
-        lines = [f"- {run_name(run)}: {n} of {asked}" for run, n in missing.items()]
+    short = {run: len(done) for run, done in records.items() if len(done) < asked}
+    if short:
+        lines = [f"- {run_name(run)}: {n} of {asked} rows are there" for run, n in short.items()]
         parts += ["## Not run\n", "\n".join(lines) + "\n"]
     return "\n".join(parts)
 
