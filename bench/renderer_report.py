@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from method_plan import ROOT, SHORT, VICTIMS
+from method_plan import LITE0, ROOT, SHORT, VICTIMS
 
 IMAGES = ROOT / "docs/images"
 TITLES = {"builtin": "built in", "mitsuba": "Mitsuba", "blender": "Blender", "meshlab": "MeshLab"}
@@ -12,6 +12,7 @@ PICTURE_SIDE = 170  # pixels, of one view in the side-by-side
 LABEL_ROWS = 18
 
 Records = dict[Path, dict[Any, Path]]
+Lights = dict[Path, dict[str, list[Path]]]  # evaluations by run and strength of the lights
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -75,16 +76,18 @@ def run_section(run: Path, by_condition: dict[Any, Path]) -> str:
     return f"{heading}Attacked through {through}.\n\n" + table(header, rows)
 
 
-def light_section(lights: dict[str, tuple[Path, Path]], steps: int) -> str:
+def light_section(lights: Lights, steps: int) -> str:
     """Write the table of attacks with and without lights."""
     rows = []
-    for light, (own, lit) in lights.items():
-        for path, where in ((own, "built in, unlit"), (lit, "Mitsuba, lit")):
-            record = read(path)
-            psnr = record["naturalness"]["psnr"]
-            shown = "" if psnr is None else f"{psnr:.1f}"
-            rows.append([light, where, *cells(record, ["efficientnet_lite0"]), shown])
-    header = ["`attack.eot.light`", "scored", *(SHORT[v] for v in VICTIMS), "unseen", "PSNR"]
+    for run, by_light in lights.items():
+        name = first_name(read(run / "eval/builtin.json"), "true_class")
+        for light, paths in by_light.items():
+            for record in map(read, paths):
+                psnr, lit = record["naturalness"]["psnr"], record["renderer"]["lit"]
+                where = TITLES[record["renderer"]["name"]] + (", lit" if lit else ", unlit")
+                quality = "" if psnr is None else f"{psnr:.1f}"
+                rows.append([name, light, where, *cells(record, [LITE0]), quality])
+    header = ["object", "`light`", "scored", *(SHORT[v] for v in VICTIMS), "unseen", "PSNR"]
     return LIGHT.format(steps=steps) + table(header, rows)
 
 
@@ -116,7 +119,7 @@ def side_by_side(records: Records, path: Path) -> None:
 # ---- Page ---------------------------------------------------------------------------------
 
 
-def page(records: Records, lights: dict[str, tuple[Path, Path]], asked: int, steps: int) -> str:
+def page(records: Records, lights: Lights, asked: int, steps: int) -> str:
     """Return the page of these evaluations; draws its picture beside it."""
     counts = {read(p)["views"]["count"] for done in records.values() for p in done.values()}
     views = " or ".join(map(str, sorted(counts))) or "no"
@@ -125,7 +128,7 @@ def page(records: Records, lights: dict[str, tuple[Path, Path]], asked: int, ste
     if any(records.values()):
         side_by_side(records, IMAGES / "renderers.jpg")
         parts.append("![Two views of each object in every renderer](images/renderers.jpg)\n")
-    if lights:
+    if any(paths for by_light in lights.values() for paths in by_light.values()):
         parts.append(light_section(lights, steps))
     reading = ROOT / "docs/results-renderers-reading.md"
     if reading.is_file():
@@ -147,7 +150,7 @@ each program: [evaluation](evaluate.md#other-renderers).
 """
 LIGHT = """## Lights during the attack
 
-The first object again, {steps} steps through Lite0 alone, without and with lights drawn for each
-picture of the attack.
+Each object again, {steps} steps through Lite0 alone, without and with lights drawn for each picture
+of the attack (`attack.eot.light`).
 
 """

@@ -4,9 +4,9 @@
                            [--out FOLDER] [--report-only]
 
 RUN is the folder of a finished run (default: the demo's, and a ball of scripts/method-table). Each
-renderer scores the run's exported files from the same cameras, without and with light. Then the
-first run's object is attacked shortly, once with lights drawn during the attack
-(`attack.eot.light`) and once without, and both are scored under Mitsuba's light.
+renderer scores the run's exported files from the same cameras, without and with light. Then each
+run's object is attacked shortly, once with lights drawn during the attack (`attack.eot.light`) and
+once without, and both are scored under Mitsuba's and MeshLab's light.
 
 A finished evaluation is read, not run again; the page says what is missing.
 """
@@ -47,8 +47,9 @@ class Condition:
         return ["--renderer", self.renderer, *(["--lit"] if self.lit else [])]
 
 
-#: What scores the attacks with and without lights under light.
-LIGHT_SCORER = Condition("mitsuba", True)
+#: What scores the attacks with and without lights.
+LIGHT_SCORERS = tuple(Condition(*c) for c in (("builtin", False), ("mitsuba", True),
+                                              ("meshlab", True)))  # fmt: skip
 
 
 def conditions(renderers: tuple[str, ...]) -> list[Condition]:
@@ -91,13 +92,13 @@ class Table:
                   "--true-class", str(own["true_class"]["index"]), "--victims", *VICTIMS,
                   "--views", str(self.views), *condition.options, "--out", out)  # fmt: skip
 
-    def light_folder(self, light: str, steps: int) -> Path:
+    def light_folder(self, run: Path, light: str, steps: int) -> Path:
         """Return the run folder of the attack with lights of this strength."""
-        return self.out / f"light/{light}-{steps}"
+        return self.out / f"light/{renderer_report.run_name(run)}-{light}-{steps}"
 
     def attack_with_light(self, run: Path, light: str, steps: int) -> None:
         """Attack the run's object with these lights, and score it without light and with."""
-        folder = self.light_folder(light, steps)
+        folder = self.light_folder(run, light, steps)
         own = json.loads((run / "eval/builtin.json").read_text(encoding="utf-8"))
         target, true_class = (str(own[key]["index"]) for key in ("target", "true_class"))
         asset = folder / "asset/adversarial.glb"
@@ -108,7 +109,7 @@ class Table:
                       *(w for s in settings for w in ("--set", s)))  # fmt: skip
         if not asset.is_file():
             runs.tt3d(self.program, "bake", folder, "--set", "bake.resolution=1024")
-        for condition in (Condition("builtin", False), LIGHT_SCORER):
+        for condition in LIGHT_SCORERS:
             out = folder / f"eval/{condition.name}.json"
             # Under light the clean object's accuracy is the run's own: half the pictures suffice.
             clean = [] if condition.lit else ["--clean", folder / "asset/clean.glb"]
@@ -160,13 +161,15 @@ def main() -> None:
         for run in options.runs:
             fill(table, run, rows)
         for light in LIGHTS if options.light_steps else ():
-            table.attack_with_light(options.runs[0], light, options.light_steps)
+            for run in options.runs:
+                table.attack_with_light(run, light, options.light_steps)
     records = {run: {row: table.record(run, row) for row in rows if table.finished(run, row)}
                for run in options.runs}  # fmt: skip
-    folders = {light: table.light_folder(light, options.light_steps) / "eval" for light in LIGHTS}
-    lights = {light: (folder / "builtin.json", folder / f"{LIGHT_SCORER.name}.json")
-              for light, folder in folders.items()
-              if (folder / f"{LIGHT_SCORER.name}.json").is_file()}  # fmt: skip
+    lights = {run: {light: [eval_ / f"{c.name}.json" for c in LIGHT_SCORERS
+                            if (eval_ / f"{c.name}.json").is_file()]
+                    for light in LIGHTS
+                    for eval_ in [table.light_folder(run, light, options.light_steps) / "eval"]}
+              for run in options.runs}  # fmt: skip
     text = renderer_report.page(records, lights, len(rows), options.light_steps)
     options.page.write_text(text, encoding="utf-8")
     print(f"{sum(map(len, records.values()))} of {len(rows) * len(options.runs)}: {options.page}")

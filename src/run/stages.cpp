@@ -335,12 +335,33 @@ std::vector<CsvRow> read_rows(const fs::path& path) {
   std::vector<CsvRow> rows;
   std::string line;
   std::getline(in, line);
-  while (std::getline(in, line)) {
-    const auto f = csv_fields(line);
-    rows.push_back({f.at(0), f.at(7), std::stoll(f.at(1)), std::stoll(f.at(6)), std::stod(f.at(2)),
-                    std::stod(f.at(3)), std::stod(f.at(8))});
+  for (long number = 2; std::getline(in, line); ++number) {
+    try {
+      const auto f = csv_fields(line);
+      rows.push_back({f.at(0), f.at(7), std::stoll(f.at(1)), std::stoll(f.at(6)),
+                      std::stod(f.at(2)), std::stod(f.at(3)), std::stod(f.at(8))});
+    } catch (const std::logic_error&) {  // too few fields, or no number
+      throw InputError(path, number, "expected a row as 'tt3d evaluate' writes it");
+    }
   }
   return rows;
+}
+
+/// The run's own evaluation, with all that the report reads of it.
+json read_own_record(const fs::path& path) {
+  try {
+    json j = json::parse(read_file(path));
+    (void)j.at("target").at("name").get<std::string>();
+    (void)j.at("target").at("index").get<int64_t>();
+    if (!j.at("true_class").is_null()) (void)j.at("true_class").at("name").get<std::string>();
+    const json& views = j.at("views");
+    (void)views.at("distribution").get<std::string>();
+    (void)views.at("seed").get<uint64_t>();
+    (void)views.at("count").get<int64_t>();
+    return j;
+  } catch (const json::exception& error) {
+    throw InputError(path, std::string("is not an evaluation record: ") + error.what());
+  }
 }
 
 /// The contact sheet: the first views of the evaluation, drawn again, with the recorded answers.
@@ -398,7 +419,7 @@ void Run::run_report(Progress& progress) {
   progress.begin("report", 1, 0);
   ReportInput input;
   input.record_json = read_file(folder_ / "eval" / "builtin.json");
-  const json record = json::parse(input.record_json);
+  const json record = read_own_record(folder_ / "eval" / "builtin.json");
   const std::string target = record["target"]["name"];
   const std::string object =
       record["true_class"].is_null() ? "object" : record["true_class"]["name"].get<std::string>();

@@ -77,12 +77,13 @@ def test_the_page_has_the_figures_and_says_what_is_missing(
         row = Condition(renderer, lit)
         done[row] = table.record(run, row)
         write_record(done[row], row, run / "asset/adversarial.glb", asr)
-    light = (done[Condition("builtin", False)], done[Condition("mitsuba", True)])
-    page = renderer_report.page({run: done}, {"0.5": light}, 7, 150)
+    write_record(run / "eval/builtin.json", row, run / "asset/adversarial.glb", 0.5)
+    lights = {run: {"0": [], "0.5": list(done.values())}}
+    page = renderer_report.page({run: done}, lights, 7, 150)
     assert "## Hen taken for teapot" in page and "Attacked through Lite0." in page
     assert "| built in | unlit | 90\\* (85) | 90 (85) |" in page
     assert "| Mitsuba 3.9.1 | lit | 25\\* (85) |" in page
-    assert "| 0.5 | Mitsuba, lit | 25\\* (85) |" in page
+    assert "| hen | 0.5 | Mitsuba, lit | 25\\* (85) |" in page
     assert "runs-demo: 2 of 7" in page
     sheet = Image.open(tmp_path / "renderers.jpg")
     side = renderer_report.PICTURE_SIDE
