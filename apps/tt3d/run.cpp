@@ -84,6 +84,8 @@ Run continue_run(const Arguments& a, const Common& common, std::vector<std::stri
   run.use_device(device);
   assignments.insert(assignments.end(), a.sets.begin(), a.sets.end());
   if (!assignments.empty()) run.reconfigure(assignments, stage);
+  // A page takes seconds, and what eval/ holds may have grown since.
+  if (stage == "report") run.forget(stage);
   const auto progress = make_progress(common);
   run.run_until(stage, *progress);
   return run;

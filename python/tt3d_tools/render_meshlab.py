@@ -219,11 +219,17 @@ class Window:
         return text in self.log.read_text(errors="replace")
 
     def close(self) -> None:
-        """Ends both processes."""
-        for process in (getattr(self, "program", None), self.display):
-            if process is not None and process.poll() is None:
-                process.kill()
-                process.wait()
+        """Ends both processes; the display in peace, so that it frees its number."""
+        program = getattr(self, "program", None)
+        if program is not None and program.poll() is None:
+            program.kill()
+            program.wait()
+        self.display.terminate()
+        try:
+            self.display.wait(5)
+        except subprocess.TimeoutExpired:
+            self.display.kill()
+            self.display.wait()
 
     def find(self, title: str) -> str | None:
         """The window of a title, if there is one. An ended MeshLab is an error."""

@@ -186,6 +186,10 @@ void Run::reconfigure(const std::vector<std::string>& assignments, const std::st
   save();
 }
 
+void Run::forget(const std::string& stage) {
+  std::erase_if(stages_, [&](const StageRecord& s) { return s.name == stage; });
+}
+
 void Run::run_until(const std::string& last, Progress& progress) {
   if (last == "report" && !config_.asset.empty()) {
     throw InputError(folder_,

@@ -110,6 +110,9 @@ class Run {
   /// Changes keys and forgets `first_stage` and all stages after it.
   void reconfigure(const std::vector<std::string>& assignments, const std::string& first_stage);
 
+  /// The stage counts as not done; what it made stays until it has run again.
+  void forget(const std::string& stage);
+
   /// Names of the stages, in order: field, mesh, attack, bake, evaluate, report.
   static const std::vector<std::string>& stage_names();
   /// Runs the stages up to and including `last` that are not done. Throws whatever they throw.
