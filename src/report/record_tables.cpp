@@ -33,6 +33,12 @@ std::string renderer_words(const Json& record) {
          (lit.is_boolean() && lit.get<bool>() ? ", lit" : ", unlit");
 }
 
+/// How many views a record is of: fewer than the run's own is common, as renderers are slow.
+std::string view_words(const Json& record) {
+  const auto views = number(member(record, "views"), "count");
+  return views ? fmt::format(", {:.0f} views", *views) : "";
+}
+
 std::string lower(std::string text) {
   for (char& c : text) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
   return text;
@@ -139,7 +145,8 @@ std::string renderer_table(const Json& own, const std::vector<std::string>& othe
   std::string head = head_cell("renderer and background"), body;
   for (const Json& victim : member(own, "victims")) head += head_cell(escape(text(victim, "name")));
   for (const Json& record : records) {
-    body += "<tr>" + row_head(renderer_words(record) + ", " + escape(text(record, "background")));
+    body += "<tr>" + row_head(renderer_words(record) + ", " + escape(text(record, "background")) +
+                              view_words(record));
     for (const Json& victim : member(own, "victims")) {
       std::optional<double> rate;
       for (const Json& other : member(record, "victims")) {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import resource
 import shutil
@@ -75,6 +76,40 @@ def test_shares_can_be_counted_again_from_the_rows(video: Path, tmp_path: Path) 
     assert sum(b["frames"] for b in victim["backgrounds"].values()) == 10
     page = (tmp_path / "score.html").read_text()
     assert page.count("<img ") == 10 and "blue paper" in page
+
+
+def test_a_moving_camera_in_blender_before_two_backgrounds(tmp_path: Path) -> None:
+    """The closest to a phone's video: light, shadow, ground, motion blur, compression."""
+    if shutil.which("blender") is None:
+        pytest.skip("blender is not installed (scripts/setup --all)")
+    from video_frames import sample
+
+    obj = write_asset(tmp_path)
+    backgrounds = {"field": "#406030", "wall": "#b08060"}
+    for name, color in backgrounds.items():
+        done = tt3d(
+            "render", obj, "--video", "--renderer", "blender", "--lit", "--samples", 4,
+            "--seconds", 1, "--fps", 4, "--size", 96, "--blur", 2, "--crf", 32,
+            "--elevation", 3, "--background", color, "--out", tmp_path / f"{name}.mp4",
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    (tmp_path / "list.txt").write_text("file field.mp4\nfile wall.mp4\n")
+    take = tmp_path / "take.mp4"
+    ffmpeg("-f", "concat", "-i", tmp_path / "list.txt", "-c", "copy", take)
+    (tmp_path / "takes.csv").write_text("0,1,field\n1,2,wall\n")
+    record, rows = score(take, tmp_path, "--frames", 8, "--backgrounds", tmp_path / "takes.csv")
+    assert [r["background"] for r in rows] == ["field"] * 4 + ["wall"] * 4
+    shares = record["victims"][0]["backgrounds"]
+    assert {label: s["frames"] for label, s in shares.items()} == {"field": 4, "wall": 4}
+    job = {"video": str(take), "frames": 8, "box": "", "mask": "", "track": False,
+           "folder": str(tmp_path)}  # fmt: skip
+    frames = [np.asarray(Image.open(f["file"]), float) for f in sample(job)["frames"]]
+    wanted = [tuple(bytes.fromhex(c[1:])) for c in backgrounds.values() for _ in range(4)]
+    for frame, color in zip(frames, wanted, strict=True):
+        assert np.abs(frame[:6, :6].mean((0, 1)) - color).max() < 25
+        grey = frame[-6:, :6].mean((0, 1))
+        assert np.ptp(grey) < 25 and 60 < grey.mean() < 230  # the ground, lit or in shadow
+    assert min(np.abs(a - b).mean() for a, b in itertools.pairwise(frames)) > 1
 
 
 def test_rotation_of_a_phone_is_obeyed(video: Path, tmp_path: Path) -> None:

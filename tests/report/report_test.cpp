@@ -174,7 +174,7 @@ TEST(Report, ARowARenderer) {
   const testing::TemporaryFolder folder;
   const std::string table = region(render_report(sample_input(folder.path())), "By renderer");
   EXPECT_TRUE(has(table,
-                  "<th scope=\"row\">builtin, unlit, white</th><td "
+                  "<th scope=\"row\">builtin, unlit, white, 100 views</th><td "
                   "data-label=\"unseen-one\">62.0\u00a0%</td>"));
   EXPECT_TRUE(has(table,
                   "<th scope=\"row\">mitsuba, lit, #808080</th><td "
