@@ -211,6 +211,12 @@ def sample(job: dict[str, Any]) -> dict[str, Any]:
             toolkit.progress(len(frames), job["frames"])
     if not frames:
         raise toolkit.InputProblem(f"{job['video']}: a video without frames")
+    expected = min(job["frames"], round(facts["duration"] * facts["rate"]))
+    if len(frames) < 0.9 * expected:
+        toolkit.note(
+            f"{job['video']}: only {len(frames)} of {expected} frames could be decoded; "
+            "the file may be cut"
+        )
     return {**facts, "frames": frames}
 
 
