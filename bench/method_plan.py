@@ -20,6 +20,11 @@ ARCHITECTURES = {
     "SqueezeNet 1.1": ("squeezenet1_1",),
 }
 VICTIMS = tuple(model for family in ARCHITECTURES.values() for model in family)
+#: As columns are called.
+SHORT = {
+    "efficientnet_lite0": "Lite0", "efficientnet_lite1": "Lite1", "efficientnet_lite2": "Lite2",
+    "mobilenet_v1": "MobileNetV1", "hardnet39ds": "HarDNet", "squeezenet1_1": "SqueezeNet",
+}  # fmt: skip
 
 #: The paper's table 1. All of the plan takes about two hours on two cores.
 METHODS = ("texture", "mesh", "mlp", "grid", "dual", "dual-texture-only", "strong")

@@ -14,16 +14,13 @@ from method_plan import (
     METHODS,
     OTHERS,
     ROOT,
+    SHORT,
     TARGETS,
     VICTIMS,
     Cell,
 )
 
 IMAGES = ROOT / "docs/images"
-SHORT = {
-    "efficientnet_lite0": "Lite0", "efficientnet_lite1": "Lite1", "efficientnet_lite2": "Lite2",
-    "mobilenet_v1": "MobileNetV1", "hardnet39ds": "HarDNet", "squeezenet1_1": "SqueezeNet",
-}  # fmt: skip
 BOOTSTRAPS = 2000
 METHOD_ORDER = METHODS + OTHERS
 

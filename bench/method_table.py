@@ -10,12 +10,11 @@ goes on; the page is written from what there is and says what is missing.
 
 import argparse
 import json
-import os
-import subprocess
 import time
 from pathlib import Path
 
 import method_report
+import run_folders
 from method_plan import (
     CAPTURES,
     METHODS,
@@ -55,7 +54,7 @@ class Table:
     def run(self, cell: Cell) -> None:
         """Attack, bake and score."""
         folder = self.folder(cell)
-        self._share(self._object(cell.obj), folder)
+        run_folders.share_object(self._object(cell.obj), folder)
         settings = {
             "attack.steps": str(cell.steps(self.budget)),
             "attack.views_per_step": str(views_a_step(cell.method)),
@@ -81,23 +80,8 @@ class Table:
             self._tt3d("mesh", folder)
         return folder
 
-    @staticmethod
-    def _share(obj: Path, folder: Path) -> None:
-        """Begin a run folder that has the object's field and mesh already."""
-        if (folder / "run.json").is_file():
-            return
-        folder.mkdir(parents=True, exist_ok=True)
-        for part in ("field", "mesh"):
-            (folder / part).unlink(missing_ok=True)
-            (folder / part).symlink_to((obj / part).resolve())
-        record = json.loads((obj / "run.json").read_text(encoding="utf-8"))
-        record["stages"] = [s for s in record["stages"] if s["name"] in ("field", "mesh")]
-        (folder / "run.json").write_text(json.dumps(record), encoding="utf-8")
-
     def _tt3d(self, *arguments: str | Path) -> None:
-        models = f"{CAPTURES.parent / 'models'}:{os.environ.get('TT3D_MODELS', '')}"
-        subprocess.run([self.program, *arguments, "-q"], check=True, stdout=subprocess.DEVNULL,
-                       env={**os.environ, "TT3D_MODELS": models})  # fmt: skip
+        run_folders.tt3d(self.program, *arguments)
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -69,7 +69,7 @@ void add_view_options(CLI::App& command, Arguments& a) {
   command.add_option("--renderer", renderer.name, "builtin, mitsuba, blender or meshlab")
       ->capture_default_str();
   command.add_flag("--lit", renderer.lit, "environment light, sun and ground; not builtin");
-  command.add_option("--samples", renderer.samples, "rays a pixel; default 16 unlit, 64 lit")
+  command.add_option("--samples", renderer.samples, "rays a pixel; default 16, 64 in lit Mitsuba")
       ->check(CLI::Range(1, 65536));
   command
       .add_option("--view-time-limit", renderer.time_limit_seconds,

@@ -84,6 +84,8 @@ Run continue_run(const Arguments& a, const Common& common, std::vector<std::stri
   run.use_device(device);
   assignments.insert(assignments.end(), a.sets.begin(), a.sets.end());
   if (!assignments.empty()) run.reconfigure(assignments, stage);
+  // A page takes seconds, and what eval/ holds may have grown since.
+  if (stage == "report") run.forget(stage);
   const auto progress = make_progress(common);
   run.run_until(stage, *progress);
   return run;
@@ -105,7 +107,7 @@ void report_runs(Arguments& a, const Common& common) {
     }
     compared.push_back({folder.filename().empty() ? folder.parent_path().filename().string()
                                                   : folder.filename().string(),
-                        records_in(folder / "eval"),
+                        records_in(folder / "eval").evaluations,
                         fs::exists(folder / "run.json") ? read_file(folder / "run.json") : ""});
   }
   const Comparison page = compare_runs(compared);

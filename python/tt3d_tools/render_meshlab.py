@@ -1,7 +1,8 @@
 """Renders views with MeshLab's window under Xvfb: cameras pasted, snapshots saved, by keyboard.
 
 Debian's MeshLab 2020.09 ends with a failed assertion on every OBJ file, so the OBJ is handed over
-as PLY, MeshLab's own format. A project file brings the rendering options.
+as PLY, MeshLab's own format. A project file brings the rendering options. Lit views from above the
+ground have the ground as a second layer; MeshLab casts no shadows.
 See docs/decisions/0012-meshlab-by-keyboard.md.
 """
 
@@ -11,10 +12,11 @@ import os
 import re
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import scene
 import toolkit
 
 # What MeshLab writes into a project for: textured triangles, vertex colours, lit per vertex or not.
@@ -25,15 +27,16 @@ OPTIONS = {
 PROJECT = """<!DOCTYPE MeshLabDocument>
 <MeshLabProject>
  <MeshGroup>
-  <MLMesh label="object" filename="object.ply" visible="1">
+{layers} </MeshGroup>
+ <RasterGroup/>
+</MeshLabProject>
+"""
+LAYER = """  <MLMesh label="{name}" filename="{name}.ply" visible="1">
    <MLMatrix44>
 {matrix}</MLMatrix44>
    <RenderingOption boxColor="234 234 234 255" solidColor="255 255 255 255" pointSize="3" \
 wireColor="64 64 64 255" pointColor="131 149 69 255" wireWidth="1">{options}</RenderingOption>
   </MLMesh>
- </MeshGroup>
- <RasterGroup/>
-</MeshLabProject>
 """
 # MeshLab crashes on rows that do not end in a space.
 IDENTITY = "1 0 0 0 \n0 1 0 0 \n0 0 1 0 \n0 0 0 1 \n"
@@ -46,9 +49,11 @@ VIEW = """<!DOCTYPE ViewState>
 </project>
 """
 PIXEL_MM = 0.03
+GROUND_CORNERS = 64
 FRAME_ROWS = 104  # rows of MeshLab's window above and below the drawing
 MAX_ROWS = 1200  # of the drawing
 START_SECONDS = float(os.environ.get("TT3D_MESHLAB_START", "90"))
+DIALOG_PATIENCE = (6, 12)  # seconds, after each of which the keys are sent again
 STEP_SECONDS = 20  # one dialog, one file: beyond that MeshLab hangs
 
 
@@ -88,11 +93,11 @@ def read_obj(path: Path) -> tuple[Any, Any, Any, Any]:
     )
 
 
-def write_ply(obj: Path, path: Path, texture: str) -> None:
+def write_ply(mesh: tuple[Any, Any, Any, Any], path: Path, texture: str) -> None:
     """PLY with a texture place a corner, and white vertices, as MeshLab multiplies both."""
     import numpy as np
 
-    vertices, uvs, faces, uv_faces = read_obj(obj)
+    vertices, uvs, faces, uv_faces = mesh
     points = np.zeros(len(vertices), dtype=[("p", "<f4", 3), ("c", "u1", 4)])
     points["p"], points["c"] = vertices, 255
     kind = [("n", "u1"), ("i", "<i4", 3), ("m", "u1"), ("t", "<f4", 6)]
@@ -112,6 +117,38 @@ def write_ply(obj: Path, path: Path, texture: str) -> None:
         "end_header\n",
     ]
     path.write_bytes("\n".join(header).encode() + points.tobytes() + corners.tobytes())
+
+
+def write_ground(job: dict[str, Any], folder: Path) -> None:
+    """The ground disc as ground.ply, with a picture of one grey as its texture."""
+    import numpy as np
+    from PIL import Image
+
+    angle = 2 * np.pi * np.arange(GROUND_CORNERS) / GROUND_CORNERS
+    radius, (x, y, _) = scene.GROUND_RADII * job["radius"], job["centre"]
+    rim = np.stack([x + radius * np.cos(angle), y + radius * np.sin(angle)], 1)
+    vertices = np.full((GROUND_CORNERS + 1, 3), job["floor"], "<f4")
+    vertices[:-1, :2], vertices[-1, :2] = rim, (x, y)
+    corner = np.arange(GROUND_CORNERS)
+    faces = np.stack([corner, (corner + 1) % GROUND_CORNERS, 0 * corner + GROUND_CORNERS], 1)
+    uvs = np.full((1, 2), 0.5, "<f4")
+    write_ply((vertices, uvs, faces.astype("<i4"), 0 * faces), folder / "ground.ply", "ground.png")
+    grey = round(255 * (1.055 * scene.GROUND_REFLECTANCE ** (1 / 2.4) - 0.055))
+    Image.new("RGB", (4, 4), (grey,) * 3).save(folder / "ground.png")
+
+
+def write_scene(job: dict[str, Any], texture: Path, folder: Path, with_ground: bool) -> None:
+    """The project and its layers."""
+    folder.mkdir()
+    os.symlink(texture, folder / f"texture{texture.suffix}")
+    write_ply(read_obj(Path(job["asset"])), folder / "object.ply", f"texture{texture.suffix}")
+    names = ["object"]
+    if with_ground:
+        write_ground(job, folder)
+        names.append("ground")
+    options = OPTIONS[bool(job["lit"])]
+    layers = "".join(LAYER.format(name=n, matrix=IDENTITY, options=options) for n in names)
+    (folder / "object.mlp").write_text(PROJECT.format(layers=layers))
 
 
 def view_state(job: dict[str, Any], camera_to_world: list[float], rows: int) -> str:
@@ -137,9 +174,9 @@ def view_state(job: dict[str, Any], camera_to_world: list[float], rows: int) -> 
 class Window:
     """MeshLab on a display of its own."""
 
-    def __init__(self, folder: Path, rows: int) -> None:
-        """Starts display and MeshLab on folder/object.mlp."""
-        self.folder, self.taken = folder, 0
+    def __init__(self, folder: Path, rows: int, layers: int) -> None:
+        """Starts display and MeshLab on folder/object.mlp, which has `layers` meshes."""
+        self.folder, self.taken, self.last = folder, 0, b""
         self.display = subprocess.Popen(
             ["Xvfb", "-displayfd", "1", "-screen", "0", "1800x1400x24", "+extension", "GLX"],
             stdout=subprocess.PIPE,
@@ -169,7 +206,9 @@ class Window:
         )
         self.name = wait_for(lambda: self.find("MeshLab.*mlp"), START_SECONDS, "window")
         wait_for(
-            lambda: "Opened mesh" in self.log.read_text(errors="replace"), START_SECONDS, "mesh"
+            lambda: self.log.read_text(errors="replace").count("Opened mesh") >= layers,
+            START_SECONDS,
+            "mesh",
         )
         self.xdotool("windowsize", "--sync", self.name, "1700", str(rows + FRAME_ROWS))
         self.xdotool("windowfocus", self.name)
@@ -180,11 +219,17 @@ class Window:
         return text in self.log.read_text(errors="replace")
 
     def close(self) -> None:
-        """Ends both processes."""
-        for process in (getattr(self, "program", None), self.display):
-            if process is not None and process.poll() is None:
-                process.kill()
-                process.wait()
+        """Ends both processes; the display in peace, so that it frees its number."""
+        program = getattr(self, "program", None)
+        if program is not None and program.poll() is None:
+            program.kill()
+            program.wait()
+        self.display.terminate()
+        try:
+            self.display.wait(5)
+        except subprocess.TimeoutExpired:
+            self.display.kill()
+            self.display.wait()
 
     def find(self, title: str) -> str | None:
         """The window of a title, if there is one. An ended MeshLab is an error."""
@@ -211,6 +256,18 @@ class Window:
         time.sleep(0.15)
         self.xdotool("key", "--delay", "30", *keys)
 
+    def open_dialog(self, title: str, menu: str, *keys: str) -> None:
+        """Opens a menu's dialog; asks again where a busy machine has lost the keys."""
+        for patience in (*DIALOG_PATIENCE, None):
+            self.menu(menu, *keys)
+            try:
+                wait_for(lambda: self.find(title), patience or STEP_SECONDS, f"dialog {title}")
+                return
+            except toolkit.ToolError:
+                if patience is None or self.program.poll() is not None:
+                    raise
+                self.xdotool("key", "Escape")
+
     def look(self, state: str) -> None:
         """Windows > Paste clipboard to camera settings, the last entry but one."""
         subprocess.run(
@@ -226,8 +283,7 @@ class Window:
     def snapshot(self) -> Path:
         """File > Save snapshot; the first time, the background is set to transparent."""
         picture = self.folder / f"snapshot{self.taken:02}.png"
-        self.menu("alt+f", "t")
-        wait_for(lambda: self.find("Save snapshot"), STEP_SECONDS, "snapshot dialog")
+        self.open_dialog("Save snapshot", "alt+f", "t")
         time.sleep(0.1)
         if self.taken == 0:
             self.xdotool("key", "--delay", "30", *["Tab"] * 6, "Down")
@@ -235,6 +291,17 @@ class Window:
         self.taken += 1
         name = f"Snapshot saved to ./{picture.name}"
         wait_for(lambda: self.logged(name), STEP_SECONDS, picture.name)
+        return picture
+
+    def look_and_shoot(self, state: str) -> Path:
+        """The snapshot from a camera; once more where it shows what the last one did."""
+        for _ in range(2):
+            self.look(state)
+            picture = self.snapshot()
+            shown = picture.read_bytes()
+            if shown != self.last:
+                break
+        self.last = shown
         return picture
 
 
@@ -262,6 +329,22 @@ def resample(source: Path, target: str, job: dict[str, Any]) -> None:
     Image.fromarray(np.round(rgba * 255).astype(np.uint8), "RGBA").save(target)
 
 
+def shoot(job: dict[str, Any], views: list[Any], folder: Path, layers: int) -> Iterator[None]:
+    """Saves the views of a folder's project, one a step, in one window."""
+    rows = job["height"] * max(1, MAX_ROWS // job["height"])
+    window = None
+    try:
+        window = Window(folder, rows, layers)
+        for view in views:
+            picture = window.look_and_shoot(view_state(job, view["camera_to_world"], rows))
+            resample(picture, view["file"], job)
+            picture.unlink()
+            yield
+    finally:
+        if window is not None:
+            window.close()
+
+
 def version(meshlab: str) -> str:
     """The version of Debian's package; the program itself does not tell."""
     shown = subprocess.run(
@@ -272,7 +355,7 @@ def version(meshlab: str) -> str:
 
 
 def render(job: dict[str, Any], path: str) -> str:
-    """Renders the job in one MeshLab window; returns MeshLab's version."""
+    """Renders the job in a MeshLab window, or two with and without ground; returns its version."""
     purpose = "--renderer meshlab"
     meshlab = toolkit.need_program("meshlab", purpose)
     toolkit.need_program("Xvfb", purpose, "xvfb")
@@ -282,25 +365,20 @@ def render(job: dict[str, Any], path: str) -> str:
         raise toolkit.InputProblem(f"{purpose}: pictures have at most {MAX_ROWS} rows")
     from render_mitsuba import texture_of
 
-    folder, obj = Path(job["work"]), Path(job["asset"])
+    obj = Path(job["asset"])
     texture = texture_of(obj)
     if texture is None:
         raise toolkit.InputProblem(f"{obj}: {purpose} needs a texture")
-    os.symlink(texture, folder / f"texture{texture.suffix}")
-    write_ply(obj, folder / "object.ply", f"texture{texture.suffix}")
-    project = PROJECT.format(matrix=IDENTITY, options=OPTIONS[bool(job["lit"])])
-    (folder / "object.mlp").write_text(project)
-    rows = job["height"] * max(1, MAX_ROWS // job["height"])
-    window = None
-    try:
-        window = Window(folder, rows)
-        for i, view in enumerate(job["views"]):
-            window.look(view_state(job, view["camera_to_world"], rows))
-            picture = window.snapshot()
-            resample(picture, view["file"], job)
-            picture.unlink()
-            toolkit.progress(i + 1, len(job["views"]))
-    finally:
-        if window is not None:
-            window.close()
+    groups: dict[bool, list[Any]] = {}
+    for view in job["views"]:
+        matrix = view["camera_to_world"]
+        ground = bool(job["lit"]) and scene.sees_ground(matrix, job["floor"], job["radius"])
+        groups.setdefault(ground, []).append(view)
+    done = 0
+    for with_ground, views in groups.items():
+        folder = Path(job["work"]) / ("ground" if with_ground else "plain")
+        write_scene(job, texture, folder, with_ground)
+        for _ in shoot(job, views, folder, 1 + with_ground):
+            done += 1
+            toolkit.progress(done, len(job["views"]))
     return version(meshlab)

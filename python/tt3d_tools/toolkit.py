@@ -62,6 +62,11 @@ def progress(done: int, total: int) -> None:
     print(f"@progress {done} {total}", flush=True)
 
 
+def note(text: str) -> None:
+    """Hands tt3d a line for its user."""
+    print(f"@note {text}", flush=True)
+
+
 def read_job(path: str) -> dict[str, Any]:
     """The JSON file that tt3d hands over."""
     return json.loads(Path(path).read_text())

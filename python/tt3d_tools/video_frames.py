@@ -5,7 +5,8 @@
 The job names `video`, how many `frames` to sample evenly, a `box` "LEFT,TOP,WIDTH,HEIGHT" or "", a
 `mask` picture or "", `track` (follow the box of the first frame), a `folder` for the pictures and
 the JSON file `out`. ffmpeg decodes, obeys the rotation that a phone wrote, and hands over one frame
-after the other at most 1280 pixels wide, so memory does not grow with length or size.
+after the other at most 1280 pixels wide, so memory does not grow with length or size. Frames that
+lie far apart are sought one by one, so time does not grow with length either.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import json
 import math
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 PICTURE_SIDE = 320  # pixels, of what the victims are shown
 DECODED_SIDE = 1280  # pixels
 TRACKING_RATE = 10  # frames a second that the tracker looks at
+SEEK_SECONDS = 4  # frames further apart are sought; that decodes from the last key frame on
 
 
 def probe(video: str) -> dict[str, Any]:
@@ -56,25 +59,44 @@ def probe(video: str) -> dict[str, Any]:
     return {"width": size[0], "height": size[1], "duration": duration, "rate": rate}
 
 
-def decode(video: str, rate: float, width: int, height: int) -> Iterator[np.ndarray]:
-    """Upright frames [H,W,3] uint8 at `rate` a second, one after the other."""
+def ffmpeg_frames(
+    video: str, before: list[str], after: list[str], width: int, height: int
+) -> Iterator[np.ndarray]:
+    """Frames [H,W,3] uint8 of the first video stream; options go before and after the input."""
     import numpy as np
 
     ffmpeg = toolkit.need_program("ffmpeg", "video-score")
-    command = [ffmpeg, "-v", "error", "-i", video, "-map", "0:v:0"]
-    command += ["-vf", f"fps={rate:.9f}:round=near,scale={width}:{height}:flags=area"]
+    command = [ffmpeg, "-nostdin", "-v", "error", *before, "-i", video, "-map", "0:v:0", *after]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     size = width * height * 3
-    try:
-        while len(data := child.stdout.read(size)) == size:
-            yield np.frombuffer(data, np.uint8).reshape(height, width, 3)
-        error = child.stderr.read().decode(errors="replace").strip().splitlines()
-        if child.wait() != 0:
-            raise toolkit.InputProblem(f"{video}: {error[-1] if error else 'cannot be decoded'}")
-    finally:
-        child.kill()
-        child.wait()
+    # Its errors go to a file: a broken video has more of them than a pipe holds.
+    with tempfile.TemporaryFile() as errors:
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
+        try:
+            while len(data := child.stdout.read(size)) == size:
+                yield np.frombuffer(data, np.uint8).reshape(height, width, 3)
+            if child.wait() != 0:
+                errors.seek(0)
+                lines = errors.read().decode(errors="replace").strip().splitlines()
+                raise toolkit.InputProblem(
+                    f"{video}: {lines[-1] if lines else 'cannot be decoded'}"
+                )
+        finally:
+            child.kill()
+            child.wait()
+
+
+def decode(video: str, rate: float, width: int, height: int) -> Iterator[np.ndarray]:
+    """Upright frames [H,W,3] uint8 at `rate` a second, one after the other."""
+    filters = f"fps={rate:.9f}:round=near,scale={width}:{height}:flags=area"
+    yield from ffmpeg_frames(video, [], ["-vf", filters], width, height)
+
+
+def seek(video: str, rate: float, count: int, width: int, height: int) -> Iterator[np.ndarray]:
+    """The same frames, each found by a jump to the key frame before it."""
+    only = ["-vf", f"scale={width}:{height}:flags=area", "-frames:v", "1"]
+    for i in range(count):
+        yield from ffmpeg_frames(video, ["-ss", f"{i / rate:.6f}"], only, width, height)
 
 
 def first_box(job: dict[str, Any], width: int, height: int) -> list[int]:
@@ -164,7 +186,11 @@ def sample(job: dict[str, Any]) -> dict[str, Any]:
     rate = min(facts["rate"], max(wanted_rate, TRACKING_RATE) if job["track"] else wanted_rate)
     every = max(1, int(rate / wanted_rate))
     follower, frames = None, []
-    for i, frame in enumerate(decode(job["video"], rate, width, height)):
+    if rate * SEEK_SECONDS < 1:
+        pictures = seek(job["video"], rate, job["frames"], width, height)
+    else:
+        pictures = decode(job["video"], rate, width, height)
+    for i, frame in enumerate(pictures):
         if job["track"]:
             if follower is None:
                 follower = Follower(frame, small)
@@ -185,6 +211,12 @@ def sample(job: dict[str, Any]) -> dict[str, Any]:
             toolkit.progress(len(frames), job["frames"])
     if not frames:
         raise toolkit.InputProblem(f"{job['video']}: a video without frames")
+    expected = min(job["frames"], round(facts["duration"] * facts["rate"]))
+    if len(frames) < 0.9 * expected:
+        toolkit.note(
+            f"{job['video']}: only {len(frames)} of {expected} frames could be decoded; "
+            "the file may be cut"
+        )
     return {**facts, "frames": frames}
 
 

@@ -66,6 +66,17 @@ TexturedMesh load_asset(const fs::path& path) {
   return mesh;
 }
 
+std::string read_part(const fs::path& path) {
+  std::error_code unknown;
+  const uintmax_t bytes = fs::file_size(path, unknown);
+  if (!unknown && bytes > kMaxPartBytes) {
+    throw InputError(path, "has " + std::to_string(bytes >> 20) + " MiB, over the limit of " +
+                               std::to_string(kMaxPartBytes >> 20) +
+                               "; decimate the mesh or shrink its textures");
+  }
+  return read_file(path);
+}
+
 fs::path resolve_reference(const fs::path& asset, const std::string& reference) {
   std::string name = reference;
   std::replace(name.begin(), name.end(), '\\', '/');

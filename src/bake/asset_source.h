@@ -42,6 +42,12 @@ struct AssetSource {
 [[nodiscard]] AssetSource read_obj(const std::filesystem::path& path);
 [[nodiscard]] AssetSource read_glb(const std::filesystem::path& path);
 
+/// A file of an asset, mesh or picture, larger than which is refused: memory stays bounded.
+inline constexpr uintmax_t kMaxPartBytes = uintmax_t{1} << 30;
+
+/// read_file for the files of an asset; InputError for one over kMaxPartBytes.
+[[nodiscard]] std::string read_part(const std::filesystem::path& path);
+
 /// A file named by an asset, inside the asset's folder; InputError if it is absolute or leads out.
 [[nodiscard]] std::filesystem::path resolve_reference(const std::filesystem::path& asset,
                                                       const std::string& reference);

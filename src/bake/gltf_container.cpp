@@ -56,7 +56,7 @@ std::string decode_percent(const std::string& uri) {
 }  // namespace
 
 GltfFile::GltfFile(const std::filesystem::path& path) : path_(path) {
-  split_chunks(read_file(path));
+  split_chunks(read_part(path));
   if (!root_.is_object()) fail("its JSON chunk is not valid JSON");
   const auto asset = root_.find("asset");
   if (asset == root_.end() || !asset->is_object() || !asset->value("version", json()).is_string() ||
@@ -114,7 +114,7 @@ void GltfFile::load_buffers() {
 }
 
 std::string GltfFile::uri_bytes(const std::string& uri) const {
-  if (!uri.starts_with("data:")) return read_file(resolve_reference(path_, decode_percent(uri)));
+  if (!uri.starts_with("data:")) return read_part(resolve_reference(path_, decode_percent(uri)));
   constexpr std::string_view kMarker = ";base64,";
   const size_t marker = uri.find(kMarker);
   std::string bytes;

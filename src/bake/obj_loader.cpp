@@ -82,7 +82,7 @@ std::string map_name(std::string_view arguments) {
 }
 
 void read_mtl(const fs::path& path, std::map<std::string, SourceMaterial>& materials) {
-  const std::string text = read_file(path);
+  const std::string text = read_part(path);
   Lines lines(text);
   SourceMaterial* current = nullptr;
   for (std::string line; lines.next(line);) {
@@ -102,14 +102,14 @@ void read_mtl(const fs::path& path, std::map<std::string, SourceMaterial>& mater
       }
     } else if (current != nullptr && key == "map_Kd") {
       const fs::path image = resolve_reference(path, map_name(words.rest()));
-      current->image = rgb_image(read_file(image), image);
+      current->image = rgb_image(read_part(image), image);
     }
   }
 }
 
 class ObjReader {
  public:
-  explicit ObjReader(const fs::path& path) : path_(path), text_(read_file(path)), lines_(text_) {
+  explicit ObjReader(const fs::path& path) : path_(path), text_(read_part(path)), lines_(text_) {
     source_.path = path;
   }
 

@@ -12,6 +12,7 @@
 #include <cstring>
 #include <fstream>
 #include <limits>
+#include <thread>
 
 #include "tt3d/core.h"
 #include "tt3d/tool.h"
@@ -56,6 +57,22 @@ bool drain(int fd, double deadline, std::string& output, const ProcessWatch& wat
   }
 }
 
+/// Waits for the child's end; false where the deadline passes first. Closing its output is not
+/// ending: a child may do that and hang.
+bool ended(pid_t pid, double deadline, int& status, const ProcessWatch& watch) {
+  constexpr auto kPause = std::chrono::milliseconds(5);
+  for (double asked = now_seconds(); ::waitpid(pid, &status, WNOHANG) == 0;) {
+    const double now = now_seconds();
+    if (now > deadline) return false;
+    if (watch.stop && now - asked > 1) {
+      if (watch.stop()) return false;
+      asked = now;
+    }
+    std::this_thread::sleep_for(kPause);
+  }
+  return true;
+}
+
 pid_t spawn(const std::vector<std::string>& command, int output_fd) {
   std::vector<char*> argv;
   for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
@@ -93,10 +110,14 @@ ProcessResult watch_process(const std::vector<std::string>& command, double time
   writer.fd = -1;
 
   ProcessResult result;
-  result.timed_out = !drain(reader.fd, now_seconds() + time_limit_seconds, result.output, watch);
-  if (result.timed_out) ::kill(-pid, SIGKILL);
+  const double deadline = now_seconds() + time_limit_seconds;
   int status = 0;
-  while (::waitpid(pid, &status, 0) < 0 && errno == EINTR) {
+  result.timed_out =
+      !drain(reader.fd, deadline, result.output, watch) || !ended(pid, deadline, status, watch);
+  if (result.timed_out) {
+    ::kill(-pid, SIGKILL);
+    while (::waitpid(pid, &status, 0) < 0 && errno == EINTR) {
+    }
   }
   result.exit_code = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
   return result;

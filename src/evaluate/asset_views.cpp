@@ -15,8 +15,14 @@ using nlohmann::json;
 
 namespace {
 
-constexpr int kSamplesUnlit = 16, kSamplesLit = 64;
 constexpr double kStartSeconds = 300;  ///< a renderer's start and its import of the asset
+
+/// Rays a pixel. Blender's picture of 16 is within 42 dB of that of 64, at a quarter of the time;
+/// Mitsuba's sampler is noisier and faster.
+int samples_of(const RendererChoice& renderer) {
+  if (renderer.samples > 0) return renderer.samples;
+  return renderer.lit && renderer.name == "mitsuba" ? 64 : 16;
+}
 
 const std::vector<std::string>& renderer_names() {
   static const std::vector<std::string> names = {"builtin", "mitsuba", "blender", "meshlab"};
@@ -44,12 +50,9 @@ json job_of(const RendererChoice& renderer, const TexturedMesh& asset,
     list.push_back({{"camera_to_world", views[i].camera.camera_to_world},
                     {"file", (folder / ("view" + std::to_string(i) + ".png")).string()}});
   }
-  const int samples = renderer.samples > 0 ? renderer.samples
-                      : renderer.lit       ? kSamplesLit
-                                           : kSamplesUnlit;
   return {{"renderer", renderer.name},
           {"lit", renderer.lit},
-          {"samples", samples},
+          {"samples", samples_of(renderer)},
           {"time_limit", renderer.time_limit_seconds},
           {"width", first.width},
           {"height", first.height},

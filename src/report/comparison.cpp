@@ -165,6 +165,8 @@ Comparison compare_runs(const std::vector<ComparedRun>& runs) {
                   {"objects", ""},
                   {"results", section("results", "Attack success", html_table(rows))},
                   {"renderers", ""},
+                  {"tasks", ""},
+                  {"videos", ""},
                   {"spheres", ""},
                   {"quality", ""},
                   {"sheet", ""},

@@ -5,6 +5,7 @@
 #include "figures.h"
 #include "html.h"
 #include "page_parts.h"
+#include "record_tables.h"
 #include "run_facts.h"
 #include "tt3d/report.h"
 #include "tt3d/version.h"
@@ -63,37 +64,6 @@ std::string viewer_section(const Json& objects) {
           script_data(objects) + "</script>\n<script>" + kViewerJs + "</script>\n");
 }
 
-/// Success by renderer: a column a model, a row an evaluation.
-std::string renderer_table(const Json& own, const std::vector<std::string>& others) {
-  if (others.empty()) return "";
-  std::vector<Json> records = {own};
-  for (const std::string& text : others) {
-    records.push_back(parse_json(text, "another renderer's record"));
-  }
-  std::string head, body;
-  for (const Json& victim : member(own, "victims")) {
-    head += "<th scope=\"col\">" + escape(text(victim, "name")) + "</th>";
-  }
-  for (const Json& record : records) {
-    const Json renderer = member(record, "renderer"), lit = member(renderer, "lit");
-    body += "<tr><th scope=\"row\">" + escape(text(renderer, "name")) +
-            (lit.is_boolean() && lit.get<bool>() ? ", lit" : ", unlit") + ", " +
-            escape(text(record, "background")) + "</th>";
-    for (const Json& victim : member(own, "victims")) {
-      std::optional<double> rate;
-      for (const Json& other : member(record, "victims")) {
-        if (text(other, "name") == text(victim, "name")) rate = number(other, "asr");
-      }
-      body += "<td data-label=\"" + escape(text(victim, "name")) + "\">" +
-              (rate ? percent(*rate) : "\u2013") + "</td>";
-    }
-    body += "</tr>\n";
-  }
-  return "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"By renderer\"><table "
-         "class=\"results\"><thead><tr><th scope=\"col\">renderer and background</th>" +
-         head + "</tr></thead>\n<tbody>\n" + body + "</tbody></table></div>\n";
-}
-
 std::string configuration(const std::string& toml) {
   if (toml.empty()) return "";
   return "<details><summary>Configuration</summary><pre tabindex=\"0\">" + escape(toml) +
@@ -110,28 +80,32 @@ std::string render_report(const ReportInput& input) {
                   parse_json(input.mesh_metrics_json, "the mesh's metrics"),
                   surrogate_names(run, input.config_toml));
   const std::string title = input.title.empty() ? "Adversarial 3D object" : input.title;
-  return fill(kPageHtml,
-              {{"title", escape(title)},
-               {"style", kPageCss},
-               {"summary", summary(figures)},
-               {"headline", headline(figures)},
-               {"objects", viewer_section(viewer_objects(input))},
-               {"results", section("results", "Attack success", result_table(figures))},
-               {"renderers", section("renderers", "Other renderers",
-                                     renderer_table(record, input.other_records))},
-               {"spheres", section("spheres", "Where the attack fails",
-                                   view_spheres(input.views_csv, record))},
-               {"quality", section("quality", "Naturalness and quality", quality_list(figures))},
-               {"sheet", section("views", "Views", contact_sheet(input.views, figures.target))},
-               {"images", section("pictures", "Pictures", gallery(input.images))},
-               {"curves", section("curves", "Optimisation", curve_charts(input.curves_csv))},
-               {"stages", section("stages", "Time and memory", stage_table(run))},
-               {"provenance", section("provenance", "How this was made",
-                                      configuration(input.config_toml) +
-                                          "<details><summary>Versions, "
-                                          "seed and checksums</summary>\n" +
-                                          provenance(run, record) + "</details>\n")},
-               {"version", kVersion}});
+  return fill(
+      kPageHtml,
+      {{"title", escape(title)},
+       {"style", kPageCss},
+       {"summary", summary(figures)},
+       {"headline", headline(figures)},
+       {"objects", viewer_section(viewer_objects(input))},
+       {"results", section("results", "Attack success", result_table(figures))},
+       {"renderers",
+        section("renderers", "Other renderers", renderer_table(record, input.other_records))},
+       {"tasks", section("tasks", "Other tasks", task_table(input.judge_records, record))},
+       {"videos", section("videos", "Videos", video_tables(input.video_records))},
+       {"spheres",
+        section("spheres", "Where the attack fails", view_spheres(input.views_csv, record))},
+       {"quality", section("quality", "Naturalness and quality",
+                           quality_list(figures) + geometry_list(record, input.other_records))},
+       {"sheet", section("views", "Views", contact_sheet(input.views, figures.target))},
+       {"images", section("pictures", "Pictures", gallery(input.images))},
+       {"curves", section("curves", "Optimisation", curve_charts(input.curves_csv))},
+       {"stages", section("stages", "Time and memory", stage_table(run))},
+       {"provenance", section("provenance", "How this was made",
+                              configuration(input.config_toml) +
+                                  "<details><summary>Versions, "
+                                  "seed and checksums</summary>\n" +
+                                  provenance(run, record) + "</details>\n")},
+       {"version", kVersion}});
 }
 
 void write_report(const ReportInput& input, const std::filesystem::path& html) {

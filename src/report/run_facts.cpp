@@ -101,7 +101,8 @@ std::string stage_table(const Json& run) {
   std::string rows;
   for (const Json& stage : stages) rows += stage_row(stage, longest);
   const Json sum = {{"name", "all"}, {"seconds", total}, {"peak_rss_bytes", peak}};
-  return "<div class=\"scroll\"><table class=\"stages\"><thead><tr><th scope=\"col\">stage</th>"
+  return "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Time and memory\">"
+         "<table class=\"stages\"><thead><tr><th scope=\"col\">stage</th>"
          "<th scope=\"col\">time</th><td></td><th scope=\"col\">peak memory</th></tr></thead>\n"
          "<tbody>" +
          rows + "</tbody><tfoot>" + stage_row(sum, 0) + "</tfoot></table></div>\n";

@@ -13,7 +13,7 @@
 namespace tt3d::report {
 namespace {
 
-constexpr double kWidth = 420, kHeight = 230, kLeft = 44, kTop = 10, kRight = 10, kBottom = 40;
+constexpr double kWidth = 420, kHeight = 230, kLeft = 44, kTop = 10, kRight = 22, kBottom = 40;
 
 struct View {
   double azimuth = 0, elevation = 0;

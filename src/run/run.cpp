@@ -41,7 +41,17 @@ std::string differing_keys(const json& before, const json& now) {
 
 json read_run_file(const fs::path& path) {
   try {
-    return json::parse(read_file(path));
+    json j = json::parse(read_file(path));
+    // What is read of it later, so that a wrong type is told here, with the file's name.
+    (void)j.value("config", std::map<std::string, std::string>{});
+    (void)j.value("inputs", std::map<std::string, std::string>{});
+    (void)j.value("given", std::set<std::string>{});
+    for (const json& stage : j.value("stages", json::array())) {
+      (void)stage.at("name").get<std::string>();
+      (void)stage.at("seconds").get<double>();
+      (void)stage.at("peak_rss_bytes").get<int64_t>();
+    }
+    return j;
   } catch (const json::exception& error) {
     throw InputError(path, std::string("is not a run's record: ") + error.what());
   }
@@ -98,7 +108,8 @@ Run Run::open(const fs::path& folder) {
   run.lock();
   const json recorded = read_run_file(record);
   std::vector<std::string> assignments;
-  for (const auto& [name, value] : recorded.at("config").items()) {
+  const json config = recorded.value("config", json::object());
+  for (const auto& [name, value] : config.items()) {
     assignments.push_back(name + "=" + value.get<std::string>());
   }
   set_all(run.config_, assignments);
@@ -173,6 +184,10 @@ void Run::reconfigure(const std::vector<std::string>& assignments, const std::st
     fs::remove(folder_ / *stage / "checkpoint.safetensors");
   }
   save();
+}
+
+void Run::forget(const std::string& stage) {
+  std::erase_if(stages_, [&](const StageRecord& s) { return s.name == stage; });
 }
 
 void Run::run_until(const std::string& last, Progress& progress) {

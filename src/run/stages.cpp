@@ -335,12 +335,33 @@ std::vector<CsvRow> read_rows(const fs::path& path) {
   std::vector<CsvRow> rows;
   std::string line;
   std::getline(in, line);
-  while (std::getline(in, line)) {
-    const auto f = csv_fields(line);
-    rows.push_back({f.at(0), f.at(7), std::stoll(f.at(1)), std::stoll(f.at(6)), std::stod(f.at(2)),
-                    std::stod(f.at(3)), std::stod(f.at(8))});
+  for (long number = 2; std::getline(in, line); ++number) {
+    try {
+      const auto f = csv_fields(line);
+      rows.push_back({f.at(0), f.at(7), std::stoll(f.at(1)), std::stoll(f.at(6)),
+                      std::stod(f.at(2)), std::stod(f.at(3)), std::stod(f.at(8))});
+    } catch (const std::logic_error&) {  // too few fields, or no number
+      throw InputError(path, number, "expected a row as 'tt3d evaluate' writes it");
+    }
   }
   return rows;
+}
+
+/// The run's own evaluation, with all that the report reads of it.
+json read_own_record(const fs::path& path) {
+  try {
+    json j = json::parse(read_file(path));
+    (void)j.at("target").at("name").get<std::string>();
+    (void)j.at("target").at("index").get<int64_t>();
+    if (!j.at("true_class").is_null()) (void)j.at("true_class").at("name").get<std::string>();
+    const json& views = j.at("views");
+    (void)views.at("distribution").get<std::string>();
+    (void)views.at("seed").get<uint64_t>();
+    (void)views.at("count").get<int64_t>();
+    return j;
+  } catch (const json::exception& error) {
+    throw InputError(path, std::string("is not an evaluation record: ") + error.what());
+  }
 }
 
 /// The contact sheet: the first views of the evaluation, drawn again, with the recorded answers.
@@ -375,18 +396,21 @@ std::vector<ReportView> report_views(const fs::path& run, const json& record, in
 
 }  // namespace
 
-std::vector<std::string> records_in(const fs::path& folder, const std::string& without) {
+RecordTexts records_in(const fs::path& folder, const std::string& without) {
   std::vector<fs::path> files;
   for (const auto& entry : fs::directory_iterator(folder)) {
     const fs::path& path = entry.path();
     if (path.extension() == ".json" && path.filename() != without) files.push_back(path);
   }
   std::sort(files.begin(), files.end());
-  std::vector<std::string> records;
+  RecordTexts records;
   for (const fs::path& path : files) {
-    std::string record = read_file(path);
-    const json j = json::parse(record, nullptr, false);
-    if (j.is_object() && j.contains("victims") && j.contains("renderer")) records.push_back(record);
+    const std::string text = read_file(path);
+    const json j = json::parse(text, nullptr, false);
+    if (!j.is_object()) continue;
+    if (j.contains("victims") && j.contains("renderer")) records.evaluations.push_back(text);
+    if (j.contains("task") && j.contains("shares")) records.judges.push_back(text);
+    if (j.contains("victims") && j.contains("video")) records.videos.push_back(text);
   }
   return records;
 }
@@ -395,7 +419,7 @@ void Run::run_report(Progress& progress) {
   progress.begin("report", 1, 0);
   ReportInput input;
   input.record_json = read_file(folder_ / "eval" / "builtin.json");
-  const json record = json::parse(input.record_json);
+  const json record = read_own_record(folder_ / "eval" / "builtin.json");
   const std::string target = record["target"]["name"];
   const std::string object =
       record["true_class"].is_null() ? "object" : record["true_class"]["name"].get<std::string>();
@@ -403,7 +427,10 @@ void Run::run_report(Progress& progress) {
   input.clean_glb = folder_ / "asset" / "clean.glb";
   input.adversarial_glb = folder_ / "asset" / "adversarial.glb";
   input.views_csv = read_file(folder_ / "eval" / "builtin.csv");
-  input.other_records = records_in(folder_ / "eval", "builtin.json");
+  RecordTexts others = records_in(folder_ / "eval", "builtin.json");
+  input.other_records = std::move(others.evaluations);
+  input.judge_records = std::move(others.judges);
+  input.video_records = std::move(others.videos);
   input.curves_csv = read_file(folder_ / "attack" / "curves.csv");
   input.config_toml = config_toml(config_);
   save();  // stages so far

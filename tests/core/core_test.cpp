@@ -2,9 +2,13 @@
 #include <sys/stat.h>
 
 #include <cmath>
+#include <csignal>
+#include <fstream>
+#include <thread>
 
 #include "support/temporary_folder.h"
 #include "tt3d/core.h"
+#include "tt3d/tool.h"
 
 namespace tt3d {
 namespace {
@@ -100,6 +104,76 @@ TEST(Process, OutputAndExitCode) {
 TEST(Process, TimeLimitEndsIt) {
   const ProcessResult result = run_process({"sleep", "30"}, 0.2);
   EXPECT_TRUE(result.timed_out);
+}
+
+/// Whether a process runs: it is there, and no zombie.
+bool runs(const std::string& pid) {
+  std::ifstream stat("/proc/" + pid + "/stat");
+  std::string text;
+  std::getline(stat, text);
+  const size_t name_end = text.rfind(") ");
+  return name_end != text.npos && text[name_end + 2] != 'Z' && text[name_end + 2] != 'X';
+}
+
+bool runs_within(const std::string& pid, double seconds) {
+  const double end = now_seconds() + seconds;
+  while (runs(pid) && now_seconds() < end)
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  return runs(pid);
+}
+
+TEST(Process, WatchGetsEachLineAsItComes) {
+  std::vector<std::string> lines;
+  std::vector<double> times;
+  ProcessWatch watch;
+  watch.on_line = [&](const std::string& line) {
+    lines.push_back(line);
+    times.push_back(now_seconds());
+  };
+  const ProcessResult result =
+      watch_process({"sh", "-c", "echo one; sleep 0.5; echo two >&2; printf three"}, 20, watch);
+  EXPECT_EQ(result.exit_code, 0);
+  EXPECT_FALSE(result.timed_out);
+  EXPECT_EQ(lines, (std::vector<std::string>{"one", "two", "three"}));
+  ASSERT_EQ(times.size(), 3U);
+  EXPECT_GT(times[1] - times[0], 0.3);
+  EXPECT_EQ(result.output, "one\ntwo\nthree");
+}
+
+TEST(Process, TimeLimitEndsWhatTheChildStarted) {
+  std::string grandchild;
+  ProcessWatch watch;
+  watch.on_line = [&](const std::string& line) { grandchild = line; };
+  const double start = now_seconds();
+  const ProcessResult result = watch_process({"sh", "-c", "sleep 60 & echo $!; wait"}, 0.5, watch);
+  EXPECT_TRUE(result.timed_out);
+  EXPECT_EQ(result.exit_code, 128 + SIGKILL);
+  EXPECT_LT(now_seconds() - start, 20);
+  ASSERT_FALSE(grandchild.empty());
+  EXPECT_FALSE(runs_within(grandchild, 10));
+}
+
+TEST(Process, TimeLimitHoldsForAChildThatClosedItsOutput) {
+  const double start = now_seconds();
+  const ProcessResult result = watch_process({"sh", "-c", "exec >&- 2>&-; sleep 60"}, 0.5, {});
+  EXPECT_TRUE(result.timed_out);
+  EXPECT_LT(now_seconds() - start, 20);
+}
+
+TEST(Process, WatchStopsIt) {
+  ProcessWatch watch;
+  int asked = 0;
+  watch.stop = [&] { return ++asked > 1; };
+  const double start = now_seconds();
+  const ProcessResult result = watch_process({"sleep", "60"}, 50, watch);
+  EXPECT_TRUE(result.timed_out);
+  EXPECT_EQ(asked, 2);
+  EXPECT_LT(now_seconds() - start, 20);
+}
+
+TEST(Process, LastLine) {
+  EXPECT_EQ(last_line("a\nb\n\n"), "b");
+  EXPECT_EQ(last_line("\n"), "no message");
 }
 
 TEST(Process, MissingProgram) {

@@ -98,6 +98,28 @@ def test_lit_pictures_have_ground_and_shadow(
     assert np.abs(lit - unlit)[body].mean() > 0.02
 
 
+def test_meshlab_has_the_ground_where_the_camera_is_above_it(
+    assets: dict[str, Path], tmp_path: Path
+) -> None:
+    """One grey, as its lamp casts no shadow; none from below, where it would hide the object."""
+    skip_without("meshlab")
+    unlit = pictures(assets["glb"], tmp_path / "unlit")
+    lit = pictures(assets["glb"], tmp_path / "lit", "--renderer", "meshlab", "--lit")
+    frames = json.loads((tmp_path / "lit/transforms.json").read_text())["frames"]
+    heights = [f["elevation_deg"] for f in frames]
+    assert max(heights) > 15, "the seed gives a view from above"
+    for picture, outline, height in zip(lit, unlit, heights, strict=True):
+        ground = (picture[..., 3] > 0.99) & (outline[..., 3] < 0.01)
+        if height > 15:
+            assert ground.mean() > 0.2
+            levels = picture[ground][:, :3]
+            # Pixels on the object's edge hold some of it.
+            assert np.quantile(np.ptp(levels, axis=1), 0.98) < 0.01
+            assert np.ptp(np.quantile(levels, [0.05, 0.95])) < 0.03
+        elif height < -15:
+            assert ground.mean() < 0.01
+
+
 def test_evaluate_records_the_renderer(assets: dict[str, Path], tmp_path: Path) -> None:
     skip_without("mitsuba")
     out = tmp_path / "record.json"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import shutil
@@ -14,6 +15,8 @@ import pytest
 
 webdriver = pytest.importorskip("selenium.webdriver")
 
+from selenium.webdriver.common.action_chains import ActionChains  # noqa: E402
+from selenium.webdriver.common.keys import Keys  # noqa: E402
 from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -96,16 +99,99 @@ def test_without_webgl_there_is_a_sentence(page: Path) -> None:
         assert driver.find_element("id", "no-webgl").is_displayed()
 
 
+def set_width(driver: webdriver.Chrome, width: int) -> None:
+    driver.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride",
+        {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600},
+    )
+
+
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_sticks_out_at_the_side(page: Path, width: int) -> None:
     with browser() as driver:
-        driver.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride",
-            {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600},
-        )
+        set_width(driver, width)
         driver.get(page.as_uri())
         assert viewer_state(driver) == "drawn"
         shown, needed = driver.execute_script(
             "const e = document.documentElement; return [e.clientWidth, e.scrollWidth]"
         )
         assert width - 20 <= shown == needed  # a scroll bar at the right is no part of the page
+        assert console_lines(driver) == []
+
+
+DESCRIBE_FOCUS = """
+const e = document.activeElement;
+if (e === document.body) return null;
+const style = getComputedStyle(e);
+return [e.tagName, e.id || e.className, (e.getAttribute("aria-label") || e.textContent).trim(),
+        style.outlineStyle !== "none" || e.className === "skip"];
+"""
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_all_that_can_be_used_is_reached_by_keyboard(page: Path, width: int) -> None:
+    with browser() as driver:
+        set_width(driver, width)
+        driver.get(page.as_uri())
+        assert viewer_state(driver) == "drawn"
+        reached = []
+        for _ in range(100):
+            ActionChains(driver).send_keys(Keys.TAB).perform()
+            focus = driver.execute_script(DESCRIBE_FOCUS)
+            if focus is None or focus in reached:
+                break
+            reached.append(focus)
+        assert reached[0][2] == "Skip to the results"
+        assert all(name and visible for _, _, name, visible in reached)
+        tags = [tag for tag, *_ in reached]
+        assert tags.count("CANVAS") == 2 and tags.count("BUTTON") == 2
+        names = {name for _, _, name, _ in reached}
+        regions = driver.find_elements("css selector", ".scroll")
+        assert len(regions) >= 4
+        assert {r.get_attribute("aria-label") for r in regions} <= names
+        assert {s.text for s in driver.find_elements("tag name", "summary")} <= names
+
+
+def test_arrow_keys_turn_the_object(page: Path) -> None:
+    with browser() as driver:
+        driver.get(page.as_uri())
+        assert viewer_state(driver) == "drawn"
+        button = driver.find_element("id", "pause")
+        if button.get_attribute("aria-pressed") == "false":
+            button.send_keys(Keys.SPACE)
+        assert button.get_attribute("aria-pressed") == "true" and button.text == "Turn"
+        canvas = driver.find_elements("tag name", "canvas")[1]
+        driver.execute_script("arguments[0].focus()", canvas)
+        before = canvas.screenshot_as_png
+        assert canvas.screenshot_as_png == before
+        canvas.send_keys(*[Keys.ARROW_RIGHT] * 6)
+        WebDriverWait(driver, PATIENCE).until(lambda _: canvas.screenshot_as_png != before)
+
+
+def test_what_a_screen_reader_is_told(page: Path) -> None:
+    """The browser's accessibility tree: landmarks, headings in order, names of all pictures."""
+    with browser() as driver:
+        driver.get(page.as_uri())
+        assert viewer_state(driver) == "drawn"
+        driver.execute_cdp_cmd("Accessibility.enable", {})
+        tree = driver.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
+    nodes = [n for n in tree if not n.get("ignored")]
+
+    def names(role: str) -> list[str]:
+        same = [n for n in nodes if n.get("role", {}).get("value") == role]
+        return [n.get("name", {}).get("value", "").strip() for n in same]
+
+    assert len(names("main")) == 1
+    levels = [
+        next(p["value"]["value"] for p in n["properties"] if p["name"] == "level")
+        for n in nodes
+        if n.get("role", {}).get("value") == "heading"
+    ]
+    assert levels[0] == 1 and levels.count(1) == 1
+    assert all(b <= a + 1 for a, b in itertools.pairwise(levels))
+    regions = names("region")
+    for part in ("Attack success", "Other renderers", "Other tasks", "Videos", "By task"):
+        assert part in regions
+    for role in ("image", "img", "button", "link", "region", "columnheader", "rowheader"):
+        assert all(names(role)), role
+    assert sum("object in 3D" in name for name in names("image") + names("img")) == 2

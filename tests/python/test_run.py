@@ -125,6 +125,41 @@ def test_run_leaves_everything_the_contract_names(finished: Path) -> None:
     assert not list(run.rglob("*checkpoint*")) and not list(run.rglob("*.tmp*"))
 
 
+def test_report_again_takes_what_has_come_to_eval(finished: Path, tmp_path: Path) -> None:
+    run = tmp_path / "copy"
+    shutil.copytree(finished / "out", run)
+    assert "Other renderers" not in (run / "report.html").read_text()
+    record = json.loads((run / "eval/builtin.json").read_text())
+    record["renderer"] = {"name": "mitsuba", "version": "3.9.1", "lit": True}
+    (run / "eval/mitsuba-lit.json").write_text(json.dumps(record))
+    judge = {"task": "caption", "model": "m", "shares": {"teapot": 0.25}}
+    (run / "eval/judge.json").write_text(json.dumps(judge))
+    (run / "eval/notes.json").write_text("not JSON")
+    done = tt3d("report", run)
+    assert done.returncode == 0, done.stderr
+    page = (run / "report.html").read_text()
+    assert "Other renderers" in page and "mitsuba, lit" in page and "captions" in page
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "named"),
+    [
+        ("eval/builtin.json", "{", "builtin.json"),
+        ("eval/builtin.json", '{"target": 3}', "builtin.json"),
+        ("eval/builtin.csv", "head\nx,y\n", "builtin.csv:2"),
+        ("mesh/metrics.json", "xx", "metrics"),
+        ("asset/clean.glb", "glTF", "clean.glb"),
+    ],
+)
+def test_report_of_a_damaged_run(
+    finished: Path, tmp_path: Path, file: str, content: str, named: str
+) -> None:
+    run = tmp_path / "copy"
+    shutil.copytree(finished / "out", run)
+    (run / file).write_text(content)
+    one_line(tt3d("report", run), 2, named)
+
+
 def test_second_call_finds_it_finished(finished: Path) -> None:
     before = hashes(finished / "out")
     start = time.monotonic()

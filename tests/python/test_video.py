@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
+import resource
 import shutil
 import subprocess
 import sys
@@ -76,6 +78,40 @@ def test_shares_can_be_counted_again_from_the_rows(video: Path, tmp_path: Path) 
     assert page.count("<img ") == 10 and "blue paper" in page
 
 
+def test_a_moving_camera_in_blender_before_two_backgrounds(tmp_path: Path) -> None:
+    """The closest to a phone's video: light, shadow, ground, motion blur, compression."""
+    if shutil.which("blender") is None:
+        pytest.skip("blender is not installed (scripts/setup --all)")
+    from video_frames import sample
+
+    obj = write_asset(tmp_path)
+    backgrounds = {"field": "#406030", "wall": "#b08060"}
+    for name, color in backgrounds.items():
+        done = tt3d(
+            "render", obj, "--video", "--renderer", "blender", "--lit", "--samples", 4,
+            "--seconds", 1, "--fps", 4, "--size", 96, "--blur", 2, "--crf", 32,
+            "--elevation", 3, "--background", color, "--out", tmp_path / f"{name}.mp4",
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    (tmp_path / "list.txt").write_text("file field.mp4\nfile wall.mp4\n")
+    take = tmp_path / "take.mp4"
+    ffmpeg("-f", "concat", "-i", tmp_path / "list.txt", "-c", "copy", take)
+    (tmp_path / "takes.csv").write_text("0,1,field\n1,2,wall\n")
+    record, rows = score(take, tmp_path, "--frames", 8, "--backgrounds", tmp_path / "takes.csv")
+    assert [r["background"] for r in rows] == ["field"] * 4 + ["wall"] * 4
+    shares = record["victims"][0]["backgrounds"]
+    assert {label: s["frames"] for label, s in shares.items()} == {"field": 4, "wall": 4}
+    job = {"video": str(take), "frames": 8, "box": "", "mask": "", "track": False,
+           "folder": str(tmp_path)}  # fmt: skip
+    frames = [np.asarray(Image.open(f["file"]), float) for f in sample(job)["frames"]]
+    wanted = [tuple(bytes.fromhex(c[1:])) for c in backgrounds.values() for _ in range(4)]
+    for frame, color in zip(frames, wanted, strict=True):
+        assert np.abs(frame[:6, :6].mean((0, 1)) - color).max() < 25
+        grey = frame[-6:, :6].mean((0, 1))
+        assert np.ptp(grey) < 25 and 60 < grey.mean() < 230  # the ground, lit or in shadow
+    assert min(np.abs(a - b).mean() for a, b in itertools.pairwise(frames)) > 1
+
+
 def test_rotation_of_a_phone_is_obeyed(video: Path, tmp_path: Path) -> None:
     """A frame of 96 x 64, upright when turned clockwise: the red edge is at the top."""
     picture = np.zeros((64, 96, 3), np.uint8)
@@ -124,10 +160,8 @@ def test_a_tracker_follows(tmp_path: Path) -> None:
     assert moved == pytest.approx(20 * seconds, abs=6)
 
 
-def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
-    """4K frames at 60 a second; few of ten minutes' would already fill memory if they were kept."""
-    ffmpeg("-f", "lavfi", "-i", "testsrc2=size=3840x2160:rate=60:duration=2", "-preset",
-           "ultrafast", tmp_path / "large.mp4")  # fmt: skip
+def sample_measured(video: Path, frames: int) -> tuple[int, int, int]:
+    """Frames sampled, and the peak memory in kB of the sampling and of ffmpeg."""
     script = (
         "import json, resource, sys\n"
         "sys.path.insert(0, sys.argv[1])\n"
@@ -139,15 +173,53 @@ def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
         "child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss\n"
         "print(len(found['frames']), peak, child)\n"
     )
-    job = {"video": str(tmp_path / "large.mp4"), "frames": 30, "box": "", "mask": "",
-           "track": False, "folder": str(tmp_path)}  # fmt: skip
+    job = {"video": str(video), "frames": frames, "box": "", "mask": "",
+           "track": False, "folder": str(video.parent)}  # fmt: skip
     tools = str(Path(__file__).resolve().parents[2] / "python/tt3d_tools")
     done = subprocess.run(
         [sys.executable, "-c", script, tools, json.dumps(job)], capture_output=True, text=True
     )
-    frames, peak, child = map(int, done.stdout.split()[-3:])
+    sampled, peak, child = map(int, done.stdout.split()[-3:])
+    return sampled, peak, child
+
+
+def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
+    """4K frames at 60 a second; few of ten minutes' would already fill memory if they were kept."""
+    ffmpeg("-f", "lavfi", "-i", "testsrc2=size=3840x2160:rate=60:duration=2", "-preset",
+           "ultrafast", tmp_path / "large.mp4")  # fmt: skip
+    frames, peak, child = sample_measured(tmp_path / "large.mp4", 30)
     assert frames == 30
     assert peak < 400_000 and child < 1_500_000  # kB; 30 frames of 4K alone are 750 MB
+
+
+def test_ten_minutes_of_4k_take_seconds(tmp_path: Path) -> None:
+    """36,000 frames of 4K: decoding all would take many minutes."""
+    ffmpeg("-f", "lavfi", "-i", "color=teal:size=3840x2160:rate=60:duration=2", "-preset",
+           "ultrafast", tmp_path / "two.mp4")  # fmt: skip
+    (tmp_path / "list.txt").write_text("file two.mp4\n" * 300)
+    ffmpeg("-f", "concat", "-i", tmp_path / "list.txt", "-c", "copy", tmp_path / "ten.mp4")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    frames, peak, child = sample_measured(tmp_path / "ten.mp4", 30)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime - before.ru_utime
+    assert frames == 30
+    assert peak < 400_000 and child < 1_500_000  # kB
+    assert spent < 60  # seconds of all processors
+
+
+def test_frames_far_apart_are_those_of_their_time(tmp_path: Path) -> None:
+    """A minute that brightens evenly; every sixth second of it is asked for."""
+    from video_frames import sample
+
+    ffmpeg("-f", "lavfi", "-i", "nullsrc=size=64x48:rate=10:duration=60,geq=lum='16+3.5*T':"
+           "cb=128:cr=128", "-g", 300, tmp_path / "dawn.mp4")  # fmt: skip
+    job = {"video": str(tmp_path / "dawn.mp4"), "frames": 10, "box": "", "mask": "",
+           "track": False, "folder": str(tmp_path)}  # fmt: skip
+    found = sample(job)["frames"]
+    assert [f["seconds"] for f in found] == pytest.approx([6.0 * i for i in range(10)])
+    assert [f["index"] for f in found] == [60 * i for i in range(10)]
+    levels = [np.asarray(Image.open(f["file"]), float).mean() for f in found]
+    assert levels == pytest.approx([3.5 * 6 * i * 255 / 219 for i in range(10)], abs=4)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a video at all", b"\0" * 5000])
@@ -156,6 +228,17 @@ def test_bad_files(tmp_path: Path, content: bytes) -> None:
     bad.write_bytes(content)
     done = tt3d("video-score", bad, "--target", 1, "--victims", TOY)
     assert done.returncode == 2 and "bad.mp4" in done.stderr
+
+
+def test_a_video_without_frames_and_a_cut_one(video: Path, tmp_path: Path) -> None:
+    none, cut = tmp_path / "none.mp4", tmp_path / "cut.mp4"
+    ffmpeg("-f", "lavfi", "-i", "color=size=64x48", "-frames:v", 0, none)
+    done = tt3d("video-score", none, "--target", 1, "--victims", TOY)
+    assert done.returncode == 2
+    assert "none.mp4" in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    cut.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
+    done = tt3d("video-score", cut, "--target", 1, "--victims", TOY, "--frames", 10)
+    assert done.returncode == 0 and "of 10 frames could be decoded" in done.stderr
 
 
 def test_bad_options(video: Path, tmp_path: Path) -> None:

@@ -33,6 +33,25 @@ constexpr const char* kRecord = R"({
  "naturalness": {"psnr": 24.37, "ssim": 0.9123, "lpips": null},
  "tt3d_version": "0.1.0", "wall_seconds": 12.5})";
 
+/// The same object under another renderer's light, with the shapes compared.
+constexpr const char* kLit = R"({
+ "renderer": {"name": "mitsuba", "version": "3.9.1", "lit": true}, "background": "#808080",
+ "victims": [{"name": "seen-model", "asr": 0.45}, {"name": "unseen-one", "asr": 0.35}],
+ "geometry": {"chamfer": 0.012345, "hausdorff": 0.0871, "normal_deviation_deg": 11.52,
+              "self_intersecting_faces": 42, "self_intersecting_faces_clean": 5}})";
+
+constexpr const char* kJudge = R"({
+ "task": "detect", "model": "/home/somebody/models/judges/dino <1>",
+ "shares": {"Hen <b>&": 0.15, "teapot": 0.65, "vase": 0.05}, "answers": [],
+ "renderer": {"name": "builtin", "lit": false}, "views": {"distribution": "dome", "count": 20}})";
+
+constexpr const char* kVideo = R"({
+ "video": "/takes/table <&>.mp4", "target": {"index": 849, "name": "teapot"}, "frames": 60,
+ "victims": [{"name": "seen-model", "asr": 0.55, "frames": 60, "asr_ci95": [0.42, 0.67],
+   "backgrounds": {"": {"asr": 1, "frames": 1, "asr_ci95": [0.2, 1]},
+                   "grass": {"asr": 0.775, "frames": 40, "asr_ci95": [0.62, 0.88]},
+                   "wood": {"asr": 0.05, "frames": 19, "asr_ci95": [0.01, 0.25]}}}]})";
+
 constexpr const char* kRun = R"({"seed": 7, "versions": {"torch": "2.11.0"},
  "stages": [{"name": "field", "seconds": 185.2, "peak_rss_bytes": 1610612736},
             {"name": "attack", "seconds": 431.9, "peak_rss_bytes": 2147483648}],
@@ -64,6 +83,14 @@ ReportInput sample_input(const std::filesystem::path& folder) {
   write_glb(sphere_asset(4, 0.3F), input.adversarial_glb);
   input.record_json = kRecord;
   input.run_json = kRun;
+  input.other_records = {kLit};
+  input.judge_records = {kJudge};
+  input.video_records = {kVideo};
+  input.views_csv =
+      "victim,view,azimuth_deg,elevation_deg,distance,roll_deg,top1_index,top1_name,p_top1,"
+      "p_target,p_true,clean_top1_index\n"
+      "seen-model,0,10,20,3,0,849,teapot,0.9,0.9,0.0,8\n"
+      "seen-model,1,200,-10,3,0,8,hen,0.9,0.0,0.9,8\n";
   input.field_metrics_json = R"({"psnr_test": 31.24})";
   input.mesh_metrics_json = R"({"psnr_test": 28.81, "faces": 40312, "closed": true})";
   input.config_toml = "seed = 7\n# a < b & \"c\"\n[attack]\ntarget = \"teapot\"\n";
@@ -135,6 +162,66 @@ TEST(Report, ShowsTheFiguresOfARun) {
   EXPECT_LT(html.find(">seen-model</th>"), html.find(">unseen-one</th>"));
   EXPECT_TRUE(has(html, "<span class=\"role seen\">surrogate</span>"));
   EXPECT_TRUE(has(html, "\u25c9"));
+}
+
+/// The table whose region has this name.
+std::string region(const std::string& html, const std::string& name) {
+  const size_t start = html.find("aria-label=\"" + name + "\"");
+  return start == html.npos ? "" : html.substr(start, html.find("</table>", start) - start);
+}
+
+TEST(Report, ARowARenderer) {
+  const testing::TemporaryFolder folder;
+  const std::string table = region(render_report(sample_input(folder.path())), "By renderer");
+  EXPECT_TRUE(has(table,
+                  "<th scope=\"row\">builtin, unlit, white, 100 views</th><td "
+                  "data-label=\"unseen-one\">62.0\u00a0%</td>"));
+  EXPECT_TRUE(has(table,
+                  "<th scope=\"row\">mitsuba, lit, #808080</th><td "
+                  "data-label=\"unseen-one\">35.0\u00a0%</td><td "
+                  "data-label=\"unseen-two\">\u2013</td><td "
+                  "data-label=\"seen-model\">45.0\u00a0%</td>"));
+}
+
+TEST(Report, ARowATaskAndPhrase) {
+  const testing::TemporaryFolder folder;
+  const std::string table = region(render_report(sample_input(folder.path())), "By task");
+  EXPECT_TRUE(has(table, "detection"));
+  EXPECT_TRUE(has(table,
+                  "teapot <span class=\"role seen\">target</span></td><td "
+                  "data-label=\"found in\"><b>65.0\u00a0%</b>"));
+  EXPECT_TRUE(has(table, "Hen &lt;b&gt;&amp; <span class=\"role unseen\">true class</span>"));
+  EXPECT_TRUE(has(table, "vase</td>"));
+  EXPECT_TRUE(has(table, "dino &lt;1&gt;"));
+  EXPECT_FALSE(has(table, "somebody"));
+}
+
+TEST(Report, AColumnABackgroundOfAVideo) {
+  const testing::TemporaryFolder folder;
+  const std::string html = render_report(sample_input(folder.path()));
+  const std::string table = region(html, "Video table &lt;&amp;&gt;.mp4");
+  EXPECT_TRUE(has(table,
+                  "<th scope=\"col\">all frames</th><th scope=\"col\">no label</th><th "
+                  "scope=\"col\">grass</th><th scope=\"col\">wood</th>"));
+  EXPECT_TRUE(has(table, "<b>55.0\u00a0%</b> <span class=\"interval\">of 60</span>"));
+  EXPECT_TRUE(has(table,
+                  "<td data-label=\"grass\"><b>77.5\u00a0%</b> <span "
+                  "class=\"interval\">of 40</span></td>"));
+}
+
+TEST(Report, ShapesAreCompared) {
+  const testing::TemporaryFolder folder;
+  const std::string html = render_report(sample_input(folder.path()));
+  for (const char* row :
+       {"<dt>Chamfer distance</dt><dd>0.0123</dd>", "<dt>Hausdorff distance</dt><dd>0.0871</dd>",
+        "<dt>Mean turn of normals</dt><dd>11.5\u00b0</dd>",
+        "<dt>Self-intersecting faces</dt><dd>42</dd>",
+        "<dt>Self-intersecting, clean</dt><dd>5</dd>"}) {
+    EXPECT_TRUE(has(html, row)) << row;
+  }
+  ReportInput without;
+  without.record_json = kRecord;
+  EXPECT_FALSE(has(render_report(without), "Chamfer"));
 }
 
 TEST(Report, EscapesAllText) {
@@ -219,6 +306,9 @@ TEST(Report, OddJsonIsLeftOut) {
   input.record_json = R"({"victims": [3, {"name": 5, "asr": "x", "asr_ci95": [1]}], "target": []})";
   input.run_json = R"({"stages": [7, {"seconds": null}], "versions": "one"})";
   input.mesh_metrics_json = "[1, 2]";
+  input.other_records = {"{}", R"({"renderer": 4, "geometry": [], "victims": {}})"};
+  input.judge_records = {R"({"task": 3, "shares": {"a": "b"}})", R"({"shares": [0.5]})"};
+  input.video_records = {"{}", R"({"video": 2, "victims": [4, {"backgrounds": [1]}]})"};
   EXPECT_EQ(unbalanced_element(render_report(input)), "");
 }
 

@@ -40,6 +40,8 @@ struct ReportInput {
   std::filesystem::path clean_glb, adversarial_glb;  ///< shown turning in 3D, side by side
   std::string record_json;                           ///< evaluation record (eval/builtin.json)
   std::vector<std::string> other_records;  ///< evaluations by other renderers (eval/*.json)
+  std::vector<std::string> judge_records;  ///< what `tt3d judge --out` wrote, JSON
+  std::vector<std::string> video_records;  ///< what `tt3d video-score --out` wrote, JSON
   std::string views_csv;    ///< rows of the evaluation (eval/builtin.csv), for the view spheres
   std::string curves_csv;   ///< step,loss,objective,rgb,chamfer,laplacian,edge,success
   std::string config_toml;  ///< effective configuration

@@ -110,6 +110,9 @@ class Run {
   /// Changes keys and forgets `first_stage` and all stages after it.
   void reconfigure(const std::vector<std::string>& assignments, const std::string& first_stage);
 
+  /// The stage counts as not done; what it made stays until it has run again.
+  void forget(const std::string& stage);
+
   /// Names of the stages, in order: field, mesh, attack, bake, evaluate, report.
   static const std::vector<std::string>& stage_names();
   /// Runs the stages up to and including `last` that are not done. Throws whatever they throw.
@@ -151,9 +154,15 @@ class Run {
   std::shared_ptr<void> lock_;  ///< released when the last copy of the run goes
 };
 
-/// The evaluation records (JSON text) in a folder but `without`, by file name; other JSON is left
-/// out.
-[[nodiscard]] std::vector<std::string> records_in(const std::filesystem::path& folder,
-                                                  const std::string& without = "");
+/// The records (JSON text) of a folder by kind, each kind by file name.
+struct RecordTexts {
+  std::vector<std::string> evaluations;  ///< of `tt3d evaluate`
+  std::vector<std::string> judges;       ///< of `tt3d judge`
+  std::vector<std::string> videos;       ///< of `tt3d video-score`
+};
+
+/// Reads a folder's records but the file `without`; other JSON is left out.
+[[nodiscard]] RecordTexts records_in(const std::filesystem::path& folder,
+                                     const std::string& without = "");
 
 }  // namespace tt3d

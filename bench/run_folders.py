@@ -1,0 +1,34 @@
+"""What the tables share: the program, and run folders that begin with another run's object."""
+
+import hashlib
+import json
+import os
+import subprocess
+from pathlib import Path
+
+from method_plan import CAPTURES
+
+
+def tt3d(program: Path, *arguments: str | Path) -> None:
+    """Run the program quietly, with the shared models to be found; fail as it does."""
+    models = f"{CAPTURES.parent / 'models'}:{os.environ.get('TT3D_MODELS', '')}"
+    subprocess.run([program, *map(str, arguments), "-q"], check=True, stdout=subprocess.DEVNULL,
+                   env={**os.environ, "TT3D_MODELS": models})  # fmt: skip
+
+
+def share_object(obj: Path, folder: Path) -> None:
+    """Begin a run folder that has another run's field and mesh."""
+    if (folder / "run.json").is_file():
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    for part in ("field", "mesh"):
+        (folder / part).unlink(missing_ok=True)
+        (folder / part).symlink_to((obj / part).resolve())
+    record = json.loads((obj / "run.json").read_text(encoding="utf-8"))
+    record["stages"] = [s for s in record["stages"] if s["name"] in ("field", "mesh")]
+    (folder / "run.json").write_text(json.dumps(record), encoding="utf-8")
+
+
+def sha256(path: Path) -> str:
+    """Return a file's checksum as records have it."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
