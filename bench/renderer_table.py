@@ -85,12 +85,12 @@ class Table:
         own = json.loads((run / "eval/builtin.json").read_text(encoding="utf-8"))
         out, asset = self.record(run, condition), run / "asset/adversarial.glb"
         out.parent.mkdir(parents=True, exist_ok=True)
-        run_folders.tt3d(self.program, "render", asset, "--views", str(PICTURES), *condition.options,
-                  "--out", out.with_suffix(""))  # fmt: skip
+        run_folders.tt3d(self.program, "render", asset, "--views", str(PICTURES),
+                         *condition.options, "--out", out.with_suffix(""))  # fmt: skip
         run_folders.tt3d(self.program, "evaluate", asset, "--clean", run / "asset/clean.glb",
-                  "--target", str(own["target"]["index"]),
-                  "--true-class", str(own["true_class"]["index"]), "--victims", *VICTIMS,
-                  "--views", str(self.views), *condition.options, "--out", out)  # fmt: skip
+                         "--target", str(own["target"]["index"]),
+                         "--true-class", str(own["true_class"]["index"]), "--victims", *VICTIMS,
+                         "--views", str(self.views), *condition.options, "--out", out)  # fmt: skip
 
     def light_folder(self, run: Path, light: str, steps: int) -> Path:
         """Return the run folder of the attack with lights of this strength."""
@@ -105,8 +105,9 @@ class Table:
         run_folders.share_object(run, folder)
         if not (folder / "attack/attack.safetensors").is_file():
             settings = (f"attack.steps={steps}", f"attack.eot.light={light}")
-            run_folders.tt3d(self.program, "attack", folder, "--target", target, "--surrogate", LITE0,
-                      *(w for s in settings for w in ("--set", s)))  # fmt: skip
+            run_folders.tt3d(self.program, "attack", folder, "--target", target,
+                             "--surrogate", LITE0,
+                             *(w for s in settings for w in ("--set", s)))  # fmt: skip
         if not asset.is_file():
             run_folders.tt3d(self.program, "bake", folder, "--set", "bake.resolution=1024")
         for condition in LIGHT_SCORERS:
@@ -115,9 +116,9 @@ class Table:
             clean = [] if condition.lit else ["--clean", folder / "asset/clean.glb"]
             if not out.is_file():
                 run_folders.tt3d(self.program, "evaluate", asset, *clean, "--target", target,
-                          "--true-class", true_class, "--victims", *VICTIMS, "--views",
-                          str(self.views), *condition.options, "--samples", LIGHT_SAMPLES,
-                          "--out", out)  # fmt: skip
+                                 "--true-class", true_class, "--victims", *VICTIMS, "--views",
+                                 str(self.views), *condition.options, "--samples",
+                                 LIGHT_SAMPLES, "--out", out)  # fmt: skip
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -14,6 +14,7 @@ sys.path.insert(0, str(ROOT / "bench"))
 Image = pytest.importorskip("PIL.Image")
 
 import renderer_report  # noqa: E402
+import run_folders  # noqa: E402
 from method_plan import VICTIMS  # noqa: E402
 from renderer_table import Condition, Table, conditions  # noqa: E402
 
