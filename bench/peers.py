@@ -199,7 +199,7 @@ LEFT = {
     "colored_mesh": "triangles of a few pixels: setting one up costs more than its pixels",
     "textured_mesh": "the same, and texels that lie apart",
     "hash_encode_ours": "a cache line of 64 bytes is fetched for each entry of 8",
-    "mlp_ours": "rows too short to hide loads; gradients of weights are summed over lanes",
+    "mlp_ours": "the loops are half of it; the rest is fresh memory and the graph around them",
 }  # fmt: skip
 
 
