@@ -175,7 +175,7 @@ def beta_plot(results: Results) -> str:
     for victims, label in (((VICTIMS[0],), "Lite0, attacked"), (VICTIMS[1:], "unseen models")):
         axis.semilogx(betas, [100 * mean(s, victims) for s in scores], marker="o", label=label)
     axis.set(xlabel="beta", ylabel="success, %", ylim=(0, 100))
-    axis.legend(loc="upper right")
+    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2, frameon=False)
     other = axis.twinx()
     other.semilogx(betas, [np.mean([x.psnr for x in s]) for s in scores], "k--", marker="s")
     other.set_ylabel("PSNR, dB (dashed)")
