@@ -19,6 +19,7 @@ from method_plan import (
     VICTIMS,
     Cell,
 )
+from page import markdown_table
 
 IMAGES = ROOT / "docs/images"
 BOOTSTRAPS = 2000
@@ -74,11 +75,6 @@ def percent_with_interval(scores: list[Score], victims: tuple[str, ...]) -> str:
     return f"{100 * mean(scores, victims):.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def _table(header: list[str], rows: list[list[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
 class Results:
     """Finished attacks, by table and row."""
 
@@ -114,7 +110,7 @@ class Results:
                           percent_with_interval(scores, unseen),
                           f"{np.mean([s.psnr for s in scores]):.1f}",
                           f"{np.mean([s.ssim for s in scores]):.3f}"])  # fmt: skip
-        return _table(header, lines)
+        return markdown_table(header, lines)
 
     def object_table(self, table: str) -> str:
         """The same rows' mean success on unseen models, by object."""
@@ -127,7 +123,7 @@ class Results:
                 own = self.of([c for c in cells if c.obj == obj])
                 line.append(f"{100 * mean(own, unseen):.0f}" if own else "not run")
             lines.append(line)
-        return _table(["method", *objects], lines)
+        return markdown_table(["method", *objects], lines)
 
     def left_out_table(self) -> str:
         """Success on the architecture that was left out, by method."""
@@ -149,7 +145,7 @@ class Results:
             of = "" if len(means) == len(ARCHITECTURES) else f" of {len(means)}"
             line += [f"{100 * np.mean(means):.0f}{of}", f"{np.mean([s.psnr for s in every]):.1f}"]
             lines.append(line)
-        return _table(["method", *ARCHITECTURES, "mean", "PSNR"], lines)
+        return markdown_table(["method", *ARCHITECTURES, "mean", "PSNR"], lines)
 
 
 # ---- Plots --------------------------------------------------------------------------------

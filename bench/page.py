@@ -1,4 +1,4 @@
-"""The sections of docs/benchmarks.md that benchmarks write."""
+"""What the pages that benchmarks write are made of: sections of docs/benchmarks.md, tables."""
 
 import re
 from pathlib import Path
@@ -16,3 +16,9 @@ def write_section(name: str, text: str) -> None:
     if count != 1:
         raise SystemExit(f"{PAGE}: expected one pair of marks of section {name!r}, found {count}")
     PAGE.write_text(changed, encoding="utf-8")
+
+
+def markdown_table(header: list[str], rows: list[list[str]]) -> str:
+    """Format a table."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from method_plan import LITE0, ROOT, SHORT, VICTIMS
+from page import markdown_table
 
 IMAGES = ROOT / "docs/images"
 TITLES = {"builtin": "built in", "mitsuba": "Mitsuba", "blender": "Blender", "meshlab": "MeshLab"}
@@ -33,12 +34,6 @@ def first_name(record: dict[str, Any], key: str) -> str:
 def surrogates(run: Path) -> list[str]:
     """Return the models that a run attacked."""
     return json.loads(read(run / "run.json")["config"]["attack.surrogates"])
-
-
-def table(header: list[str], rows: list[list[str]]) -> str:
-    """Format a table."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def cells(record: dict[str, Any], seen: list[str]) -> list[str]:
@@ -73,7 +68,7 @@ def run_section(run: Path, by_condition: dict[Any, Path]) -> str:
     heading = f"## {what[0].upper()}{what[1:]}\n\n"
     through = ", ".join(SHORT[s] for s in seen)
     header = ["renderer", "light", *(SHORT[v] for v in VICTIMS), "unseen"]
-    return f"{heading}Attacked through {through}.\n\n" + table(header, rows)
+    return f"{heading}Attacked through {through}.\n\n" + markdown_table(header, rows)
 
 
 def light_section(lights: Lights, steps: int) -> str:
@@ -88,7 +83,7 @@ def light_section(lights: Lights, steps: int) -> str:
                 quality = "" if psnr is None else f"{psnr:.1f}"
                 rows.append([name, light, where, *cells(record, [LITE0]), quality])
     header = ["object", "`light`", "scored", *(SHORT[v] for v in VICTIMS), "unseen", "PSNR"]
-    return LIGHT.format(steps=steps) + table(header, rows)
+    return LIGHT.format(steps=steps) + markdown_table(header, rows)
 
 
 # ---- Side by side -------------------------------------------------------------------------

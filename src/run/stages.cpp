@@ -347,10 +347,10 @@ std::vector<CsvRow> read_rows(const fs::path& path) {
   return rows;
 }
 
-/// The run's own evaluation, with all that the report reads of it.
-json read_own_record(const fs::path& path) {
+/// The run's own evaluation, the text of `path`, with all that the report reads of it.
+json parse_own_record(const std::string& text, const fs::path& path) {
   try {
-    json j = json::parse(read_file(path));
+    json j = json::parse(text);
     (void)j.at("target").at("name").get<std::string>();
     (void)j.at("target").at("index").get<int64_t>();
     if (!j.at("true_class").is_null()) (void)j.at("true_class").at("name").get<std::string>();
@@ -418,8 +418,9 @@ RecordTexts records_in(const fs::path& folder, const std::string& without) {
 void Run::run_report(Progress& progress) {
   progress.begin("report", 1, 0);
   ReportInput input;
-  input.record_json = read_file(folder_ / "eval" / "builtin.json");
-  const json record = read_own_record(folder_ / "eval" / "builtin.json");
+  const fs::path evaluation = folder_ / "eval" / "builtin.json";
+  input.record_json = read_file(evaluation);
+  const json record = parse_own_record(input.record_json, evaluation);
   const std::string target = record["target"]["name"];
   const std::string object =
       record["true_class"].is_null() ? "object" : record["true_class"]["name"].get<std::string>();
