@@ -41,8 +41,10 @@ BETAS = (100, 1000, 10000)
 VIEWS_A_STEP = {"strong": 3}
 #: Presets that show a picture to one of the surrogates, not to all (attack.ensemble = views).
 DEALING = ("strong",)
-#: Several surrogates may be asked this many times as often, all together, as one.
+#: How many times as often as one surrogate several may be asked, all together.
 ENSEMBLE_SHARE = 2
+#: The same where an architecture is left out; the plain attack that it is held to asks 13 times.
+LEFT_OUT_SHARE = 4
 
 
 def views_a_step(method: str) -> int:
@@ -61,12 +63,12 @@ class Cell:
     target: str
     surrogates: tuple[str, ...] = (LITE0,)
     settings: dict[str, str] = field(default_factory=dict, hash=False)
+    share: int = 1
 
     def steps(self, budget: int) -> int:
         """Return the steps in which the surrogates see at most as many pictures as they may."""
-        several = len(self.surrogates) > 1
         seen_by = 1 if self.method in DEALING else len(self.surrogates)
-        return budget * (ENSEMBLE_SHARE if several else 1) // (views_a_step(self.method) * seen_by)
+        return budget * self.share // (views_a_step(self.method) * seen_by)
 
     @property
     def name(self) -> str:
@@ -87,11 +89,12 @@ def _methods(
 
 def _leave_one_out(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -> list[Cell]:
     return [
-        Cell("leave-one-out", f"{m} without {left_out}", m, o, target, white_box(left_out))
+        Cell("leave-one-out", f"{m} without {left_out}", m, o, target, white_box(left_out),
+             share=LEFT_OUT_SHARE)
         for o in objects
         for left_out in ARCHITECTURES
         for m in methods
-    ]
+    ]  # fmt: skip
 
 
 def _betas(objects: tuple[str, ...], target: str) -> list[Cell]:
@@ -106,7 +109,11 @@ def _betas(objects: tuple[str, ...], target: str) -> list[Cell]:
 
 
 def _ensemble(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -> list[Cell]:
-    return [Cell("ensemble", m, m, o, target, white_box("")) for m in methods for o in objects]
+    return [
+        Cell("ensemble", m, m, o, target, white_box(""), share=ENSEMBLE_SHARE)
+        for m in methods
+        for o in objects
+    ]
 
 
 def plan(presets: tuple[str, ...], objects: tuple[str, ...]) -> list[Cell]:

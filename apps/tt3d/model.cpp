@@ -70,11 +70,13 @@ void check(const ModelArguments& arguments, const Common& common) {
   const double start = now_seconds();
   const auto model = load(arguments, common);
   const double seconds = now_seconds() - start;
+  const int64_t load_peak = peak_memory_bytes() - before;
+  model->check_gradients();
   const ProbeReport& probe = model->probe();
   if (common.json) {
     Json result = card_json(*model);
     result["load_seconds"] = seconds;
-    result["load_peak_bytes"] = peak_memory_bytes() - before;
+    result["load_peak_bytes"] = load_peak;
     result["archive_bytes"] = fs::file_size(model->path());
     result["probe"] = nullptr;
     if (probe.present) {

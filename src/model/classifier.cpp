@@ -27,34 +27,55 @@ at::Tensor channel_tensor(const std::vector<double>& values) {
   return at::tensor(values, at::kDouble).to(at::kFloat).view({1, 3, 1, 1});
 }
 
+std::string describe(const ProbeReport& report) {
+  const std::string logits = fmt::format("logits off by {:.2g} of their range", report.logit_error);
+  if (!report.gradients) return logits;
+  return logits + fmt::format(", cosine of the input gradient {:.6f}, norm ratio {:.4f}",
+                              report.gradient_cosine, report.gradient_ratio);
+}
+
+[[noreturn]] void throw_probe(const fs::path& path, const ProbeReport& report,
+                              Precision precision) {
+  const char* advice = precision == Precision::kBfloat16
+                           ? "run it in float32"
+                           : "the card belongs to another model, export it again";
+  throw InputError(
+      path, fmt::format("the probe of its card disagrees ({}); {}", describe(report), advice));
+}
+
 /// Runs the graph of a package; see tt3d/model.h.
 class Pt2Classifier final : public Classifier {
  public:
-  Pt2Classifier(fs::path path, const CardFile& file, std::shared_ptr<BatchRunner> runner,
-                bool channels_last)
+  Pt2Classifier(fs::path path, CardFile file, std::shared_ptr<BatchRunner> runner,
+                bool channels_last, const ModelOptions& options)
       : path_(std::move(path)),
-        card_(file.card),
+        file_(std::move(file)),
         runner_(std::move(runner)),
         channels_last_(channels_last),
-        mean_(channel_tensor(card_.mean)),
-        std_(channel_tensor(card_.std)) {}
+        precision_(options.precision),
+        mean_(channel_tensor(card().mean)),
+        std_(channel_tensor(card().std)) {
+    if (!options.check_probe) return;
+    probe_ = model::probe_logits(file_, [&](const at::Tensor& images) { return run(images); });
+  }
 
-  const ModelCard& card() const override { return card_; }
+  const ModelCard& card() const override { return file_.card; }
   const ProbeReport& probe() const override { return probe_; }
   const fs::path& path() const override { return path_; }
-  void set_probe(const ProbeReport& report) { probe_ = report; }
+
+  void check_gradients() const override {
+    if (!probe_.present) return;
+    if (!probe_.gradients) {
+      model::probe_gradients(
+          file_, [&](const at::Tensor& images) { return run(images); }, probe_);
+    }
+    if (!model::probe_holds(probe_, precision_)) throw_probe(path_, probe_, precision_);
+  }
 
   at::Tensor logits(const at::Tensor& images) const override {
     check_images(images);
-    at::Tensor input = (images - mean_.to(images.device())) / std_.to(images.device());
-    if (channels_last_) input = input.contiguous(at::MemoryFormat::ChannelsLast);
-    try {
-      return runner_->logits(input);
-    } catch (const Malformed& error) {
-      throw InputError(path_, error.what());
-    } catch (const ResourceError& error) {
-      throw ResourceError(path_.string() + ": " + error.what());
-    }
+    if (images.requires_grad() && at::GradMode::is_enabled()) check_gradients();
+    return run(images);
   }
 
   std::string weights_hash() const override {
@@ -69,22 +90,35 @@ class Pt2Classifier final : public Classifier {
   }
 
  private:
+  at::Tensor run(const at::Tensor& images) const {
+    at::Tensor input = (images - mean_.to(images.device())) / std_.to(images.device());
+    if (channels_last_) input = input.contiguous(at::MemoryFormat::ChannelsLast);
+    try {
+      return runner_->logits(input);
+    } catch (const Malformed& error) {
+      throw InputError(path_, error.what());
+    } catch (const ResourceError& error) {
+      throw ResourceError(path_.string() + ": " + error.what());
+    }
+  }
+
   void check_images(const at::Tensor& images) const {
     if (images.dim() == 4 && images.size(0) > 0 && images.size(1) == 3 &&
-        images.size(2) == card_.height && images.size(3) == card_.width &&
+        images.size(2) == card().height && images.size(3) == card().width &&
         images.scalar_type() == at::kFloat) {
       return;
     }
     throw InputError(fmt::format("model {}: expected float32 images [N,3,{},{}]; use preprocess()",
-                                 card_.name, card_.height, card_.width));
+                                 card().name, card().height, card().width));
   }
 
   fs::path path_;
-  ModelCard card_;
+  CardFile file_;
   std::shared_ptr<BatchRunner> runner_;
   bool channels_last_;
+  Precision precision_;
   at::Tensor mean_, std_;
-  ProbeReport probe_;
+  mutable ProbeReport probe_;  // what check_gradients() found is remembered
 };
 
 void check_sha256(const MappedFile& archive, const CardFile& file) {
@@ -137,28 +171,8 @@ std::shared_ptr<Pt2Classifier> build(const Package& package, const ModelOptions&
   auto [graph, channels_last] = prepare(package, options);
   auto runner = std::make_shared<BatchRunner>(std::move(graph), package.limits.intermediate_bytes,
                                               options.precision);
-  auto classifier =
-      std::make_shared<Pt2Classifier>(package.path, package.card, std::move(runner), channels_last);
-  if (!options.check_probe || package.card.probe.cases.empty()) return classifier;
-  classifier->set_probe(model::run_probe(
-      package.card, [&](const at::Tensor& images) { return classifier->logits(images); }));
-  return classifier;
-}
-
-std::string describe(const ProbeReport& report) {
-  return fmt::format(
-      "logits off by {:.2g} of their range, cosine of the input gradient {:.6f}, "
-      "norm ratio {:.4f}",
-      report.logit_error, report.gradient_cosine, report.gradient_ratio);
-}
-
-[[noreturn]] void throw_probe(const fs::path& path, const ProbeReport& report,
-                              Precision precision) {
-  const char* advice = precision == Precision::kBfloat16
-                           ? "run it in float32"
-                           : "the card belongs to another model, export it again";
-  throw InputError(
-      path, fmt::format("the probe of its card disagrees ({}); {}", describe(report), advice));
+  return std::make_shared<Pt2Classifier>(package.path, package.card, std::move(runner),
+                                         channels_last, options);
 }
 
 std::shared_ptr<Classifier> load_checked(const Package& package, Progress* warn,

@@ -31,10 +31,6 @@ uint32_t mix(uint64_t index, uint64_t seed) {
   return h ^ (h >> 16);
 }
 
-struct Difference {
-  double logit_error = 0, cosine = 1, ratio = 1;
-};
-
 double logit_error(const at::Tensor& logits, const ProbeCase& expected) {
   const at::Tensor actual = logits.detach().to(at::kDouble).contiguous();
   const double* value = actual.const_data_ptr<double>();
@@ -51,8 +47,9 @@ double logit_error(const at::Tensor& logits, const ProbeCase& expected) {
   return worst / std::max(high - low, 1e-30);
 }
 
+/// Takes the worse of what `report` holds and of this gradient.
 void compare_gradient(const at::Tensor& gradient, const ProbeCase& expected, uint64_t seed,
-                      Difference& result) {
+                      ProbeReport& report) {
   const at::Tensor flat = gradient.detach().to(at::kDouble).contiguous().reshape(-1);
   const double* value = flat.const_data_ptr<double>();
   const auto where = probe_positions(flat.numel(), expected.gradient.size(), seed);
@@ -63,24 +60,16 @@ void compare_gradient(const at::Tensor& gradient, const ProbeCase& expected, uin
     own += have * have;
     other += want * want;
   }
-  result.cosine = own + other == 0 ? 1 : dot / std::max(std::sqrt(own * other), 1e-300);
+  const double cosine = own + other == 0 ? 1 : dot / std::max(std::sqrt(own * other), 1e-300);
   const double norm = flat.norm().item<double>();
-  result.ratio = norm == expected.gradient_norm ? 1 : norm / expected.gradient_norm;
+  const double ratio = norm == expected.gradient_norm ? 1 : norm / expected.gradient_norm;
+  // NaN counts as infinitely wrong.
+  if (!(cosine >= report.gradient_cosine)) report.gradient_cosine = cosine;
+  if (!(std::abs(ratio - 1) <= std::abs(report.gradient_ratio - 1))) report.gradient_ratio = ratio;
 }
 
-Difference run_case(const ProbeCase& expected, const CardFile& file,
-                    const std::function<at::Tensor(const at::Tensor&)>& logits) {
-  const at::AutoGradMode with_gradients(true);
-  const ModelCard& card = file.card;
-  at::Tensor images = probe_images(expected.batch, card.height, card.width, file.probe.seed);
-  images.requires_grad_(true);
-  const at::Tensor answer = logits(images);
-  const at::Tensor classes = at::tensor(expected.classes, at::kLong).unsqueeze(1);
-  const auto gradient = torch::autograd::grad({answer.gather(1, classes).sum()}, {images});
-  Difference result;
-  result.logit_error = logit_error(answer, expected);
-  compare_gradient(gradient[0], expected, file.probe.seed, result);
-  return result;
+at::Tensor images_of(const ProbeCase& expected, const CardFile& file) {
+  return probe_images(expected.batch, file.card.height, file.card.width, file.probe.seed);
 }
 
 }  // namespace
@@ -111,19 +100,27 @@ std::vector<int64_t> probe_positions(int64_t total, size_t count, uint64_t seed)
   return positions;
 }
 
-ProbeReport run_probe(const CardFile& file,
-                      const std::function<at::Tensor(const at::Tensor&)>& logits) {
+ProbeReport probe_logits(const CardFile& file, const Logits& logits) {
+  const at::NoGradGuard no_gradients;
   ProbeReport report;
   for (const ProbeCase& expected : file.probe.cases) {
-    const Difference one = run_case(expected, file, logits);
     report.present = true;
-    report.logit_error = std::max(report.logit_error, one.logit_error);
-    report.gradient_cosine = std::min(report.gradient_cosine, one.cosine);
-    if (std::abs(one.ratio - 1) > std::abs(report.gradient_ratio - 1)) {
-      report.gradient_ratio = one.ratio;
-    }
+    const double error = logit_error(logits(images_of(expected, file)), expected);
+    report.logit_error = std::max(report.logit_error, error);
   }
   return report;
+}
+
+void probe_gradients(const CardFile& file, const Logits& logits, ProbeReport& report) {
+  const at::AutoGradMode with_gradients(true);
+  for (const ProbeCase& expected : file.probe.cases) {
+    const at::Tensor images = images_of(expected, file).requires_grad_(true);
+    const at::Tensor classes = at::tensor(expected.classes, at::kLong).unsqueeze(1);
+    const at::Tensor answer = logits(images).gather(1, classes).sum();
+    const auto gradient = torch::autograd::grad({answer}, {images});
+    compare_gradient(gradient[0], expected, file.probe.seed, report);
+    report.gradients = true;
+  }
 }
 
 bool probe_holds(const ProbeReport& report, Precision precision) {

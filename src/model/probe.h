@@ -17,9 +17,14 @@ namespace tt3d::model {
 /// Flat positions in a gradient of `total` elements that the card holds.
 [[nodiscard]] std::vector<int64_t> probe_positions(int64_t total, size_t count, uint64_t seed);
 
-/// Runs `logits` (images in [0,1] to logits) on the probe and compares.
-[[nodiscard]] ProbeReport run_probe(const CardFile& file,
-                                    const std::function<at::Tensor(const at::Tensor&)>& logits);
+/// Images in [0,1] to logits.
+using Logits = std::function<at::Tensor(const at::Tensor&)>;
+
+/// Compares the answers to the probe with the card's; forward alone, so it needs little memory.
+[[nodiscard]] ProbeReport probe_logits(const CardFile& file, const Logits& logits);
+
+/// Adds the gradients to the report: forward and backward, with all activations held.
+void probe_gradients(const CardFile& file, const Logits& logits, ProbeReport& report);
 
 /// True if the differences are those of rounding to `precision`, not of another model.
 [[nodiscard]] bool probe_holds(const ProbeReport& report, Precision precision);

@@ -229,6 +229,7 @@ void Run::run_attack_stage(Progress& progress) {
   AttackInput input = attack_input(progress);
   for (const std::string& name : config_.attack_surrogates) {
     const auto model = Classifier::load(name, {}, &progress);
+    model->check_gradients();
     input.classes.push_back(find_class(wanted, model->card()).index);
     input_hashes_[model->card().name + ".pt2"] = model->card().sha256;
     input.surrogates.push_back(model);

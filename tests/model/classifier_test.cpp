@@ -48,6 +48,9 @@ TEST(Classifier, ProbesHoldWithEveryOption) {
       const ModelOptions options{(mode & 1) != 0, (mode & 2) != 0, true};
       const auto model = Classifier::load(toy(name), {}, nullptr, options);
       ASSERT_TRUE(model->probe().present);
+      EXPECT_FALSE(model->probe().gradients);  // loading needs no backward pass
+      model->check_gradients();
+      ASSERT_TRUE(model->probe().gradients);
       EXPECT_LT(model->probe().logit_error, 1e-5) << name << mode;
       EXPECT_GT(model->probe().gradient_cosine, 0.99999) << name << mode;
       EXPECT_NEAR(model->probe().gradient_ratio, 1, 1e-4) << name << mode;
@@ -73,6 +76,7 @@ void expect_slope_along_gradient(const Classifier& model, int64_t batch) {
 /// One image, where torch's batch_norm alone is wrong.
 TEST(Classifier, GradientThroughBatchNormAtBatchOne) {
   const auto model = Classifier::load(toy("toy_norm"));
+  model->check_gradients();
   EXPECT_GT(model->probe().gradient_cosine, 0.99999);
   expect_slope_along_gradient(*model, 1);
 }
@@ -170,6 +174,28 @@ TEST(Card, MustBelongToTheArchive) {
                 .error()
                 .find("probe"),
             std::string::npos);
+}
+
+/// Its answers are right, its gradients are not: fit to be a victim, not a surrogate.
+TEST(Card, GradientsAreHeldToTheProbeBeforeTheFirstOne) {
+  const EditedCard edited([](Json& card) {
+    for (Json& value : card["probe"]["cases"][0]["gradient"]) value = -value.get<double>();
+  });
+  const auto model = Classifier::load(edited.path.string());
+  at::Tensor images = at::rand({1, 3, 16, 16});
+  EXPECT_EQ(model->logits(images).size(1), 7);
+  images.requires_grad_(true);
+  for (int repeat = 0; repeat < 2; ++repeat) {
+    try {
+      (void)model->logits(images);
+      FAIL();
+    } catch (const InputError& error) {
+      EXPECT_NE(std::string(error.what()).find("cosine of the input gradient -1"),
+                std::string::npos);
+    }
+  }
+  const at::NoGradGuard no_gradients;
+  EXPECT_EQ(model->logits(images).size(1), 7);
 }
 
 TEST(Card, WithoutProbeLoadsWithAWarning) {

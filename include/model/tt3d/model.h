@@ -28,7 +28,7 @@ enum class Precision {
 struct ModelOptions {
   bool fold_batch_norm = true;  ///< into the convolution before it, else a multiply-add
   bool channels_last = true;    ///< run convolutions channels-last where the graph allows it
-  bool check_probe = true;      ///< compare with the card's probe on load
+  bool check_probe = true;      ///< compare with the card's probe
   /// Below float32 the probe's bounds are wider: docs/model.md, "Speed".
   Precision precision = Precision::kFloat32;
   bool allow_slow = false;  ///< a reduced precision also where float32 is faster
@@ -36,7 +36,8 @@ struct ModelOptions {
 
 /// What the probe of the card found.
 struct ProbeReport {
-  bool present = false;        ///< the card has a probe and it was checked
+  bool present = false;        ///< the card has a probe and the logits were compared
+  bool gradients = false;      ///< the gradients were compared, too
   double logit_error = 0;      ///< largest difference over the range of the expected logits
   double gradient_cosine = 1;  ///< smallest cosine of the input gradient, over the cases
   double gradient_ratio = 1;   ///< norm over expected norm, the case furthest from 1
@@ -64,8 +65,12 @@ class Classifier {
   /// SHA-256 over all parameters and buffers as they are used (after folding): the same before
   /// and after any use.
   [[nodiscard]] virtual std::string weights_hash() const = 0;
-  /// How well the model agreed with its card's probe on load.
+  /// How well the model agreed with its card's probe, as far as it was compared.
   [[nodiscard]] virtual const ProbeReport& probe() const = 0;
+  /// Compares the gradients of the card's probe, once. Loading compares the logits; this holds all
+  /// activations and costs more than loading, so it waits until logits() is first asked for a
+  /// gradient, or for this call. Throws InputError if they differ.
+  virtual void check_gradients() const {}
   /// The archive this was read from.
   [[nodiscard]] virtual const std::filesystem::path& path() const = 0;
 };
