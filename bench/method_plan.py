@@ -45,6 +45,9 @@ DEALING = ("strong",)
 ENSEMBLE_SHARE = 2
 #: The same where an architecture is left out; the plain attack that it is held to asks 13 times.
 LEFT_OUT_SHARE = 4
+#: Do attacks settle, and does more of the same overfit? These on one object, with more pictures.
+LONGER = ("dual", "mesh")
+LONGER_SHARE = 4
 
 
 def views_a_step(method: str) -> int:
@@ -108,6 +111,10 @@ def _betas(objects: tuple[str, ...], target: str) -> list[Cell]:
     ]  # fmt: skip
 
 
+def _longer(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -> list[Cell]:
+    return [Cell("longer", m, m, o, target, share=LONGER_SHARE) for m in methods for o in objects]
+
+
 def _ensemble(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -> list[Cell]:
     return [
         Cell("ensemble", m, m, o, target, white_box(""), share=ENSEMBLE_SHARE)
@@ -131,4 +138,5 @@ def plan(presets: tuple[str, ...], objects: tuple[str, ...]) -> list[Cell]:
         cells += _betas(objects[:1], first)
     cells += _methods("other presets", others, objects[:1], first)
     cells += _methods("second target", asked(*CORE), objects, second)
+    cells += _longer(asked(*LONGER), objects[:1], first)
     return cells + _ensemble(asked("strong", "texture"), objects, first)

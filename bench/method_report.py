@@ -11,6 +11,8 @@ from method_plan import (
     ARCHITECTURES,
     BETAS,
     ENSEMBLE_SHARE,
+    LEFT_OUT_SHARE,
+    LONGER_SHARE,
     METHODS,
     OTHERS,
     ROOT,
@@ -183,7 +185,7 @@ def curves_plot(results: Results) -> str:
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(5.2, 3.2))
-    for cell in results.rows("methods").get("dual", []):
+    for cell in [*results.rows("methods")["dual"], *results.rows("longer").get("dual", [])]:
         text = (results.folders[cell] / "attack/curves.csv").read_text(encoding="utf-8")
         objective = np.array([float(r["objective"]) for r in csv.DictReader(text.splitlines())])
         width = max(1, len(objective) // 10)
@@ -216,13 +218,15 @@ def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
                   results.object_table("methods")]  # fmt: skip
     if results.rows("methods").get("dual"):
         parts += [CURVES, curves_plot(results)]
+    if results.rows("longer"):
+        parts += [LONGER.format(share=LONGER_SHARE), results.transfer_table("longer")]
     if results.rows("other presets"):
         parts += [OTHER_PRESETS, results.transfer_table("other presets")]
     if results.rows("second target"):
         parts += [SECOND_TARGET.format(target=TARGETS[1]), results.transfer_table("second target"),
                   BY_OBJECT, results.object_table("second target")]  # fmt: skip
     if results.rows("leave-one-out"):
-        parts += [LEFT_OUT, results.left_out_table()]
+        parts += [LEFT_OUT.format(share=LEFT_OUT_SHARE), results.left_out_table()]
     if results.rows("ensemble"):
         parts += [ENSEMBLE, results.transfer_table("ensemble")]
     if results.rows("beta"):
@@ -237,10 +241,10 @@ INTRODUCTION = """# Results
 
 Written by `scripts/method-table`; run it again to go on or after a change. Every attack shows
 its surrogate {budget} pictures of 224 pixels, or several surrogates {share} times as many, all
-together; all else is the preset's ([attack](attack.md#methods)). Success in %, on 100 held-out
-`dome` views of the exported GLB on white, a mean over the row's attacks; \\* marks models that
-were attacked. The interval (95 %) is a bootstrap clustered by object; with three objects it is
-wide, and with one it knows the views alone.
+together, where a table does not say otherwise; all else is the preset's
+([attack](attack.md#methods)). Success in %, on 100 held-out `dome` views of the exported GLB on
+white, a mean over the row's attacks; \\* marks models that were attacked. The interval (95 %) is a
+bootstrap clustered by object; with three objects it is wide, and with one it knows the views alone.
 """
 THROUGH_LITE0 = """## Methods
 
@@ -248,12 +252,14 @@ Through EfficientNet-Lite0 alone. "unseen": the mean over the five models that w
 """
 BY_OBJECT = "Mean success on the unseen models, by object:\n"
 CURVES = "The objective of `dual` over its steps:\n"
+LONGER = "## {share} times as many pictures\n\nOn one object, through EfficientNet-Lite0.\n"
 OTHER_PRESETS = "## Other presets\n\nOn one object: what each is for is another matter.\n"
 SECOND_TARGET = "## Another target: {target}\n"
 LEFT_OUT = """## One architecture left out
 
 The surrogates are one model of each of the three other architectures; the figure is the success on
-the one left out (EfficientNet-Lite: mean of Lite0, 1 and 2).
+the one left out (EfficientNet-Lite: mean of Lite0, 1 and 2). They see {share} times as many
+pictures as a single one, all together.
 """
 ENSEMBLE = "## All four architectures as surrogates\n"
 BETA = "## Beta\n\n`dual` with the paper's objective, without floors: beta alone weighs.\n"

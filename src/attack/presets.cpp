@@ -101,10 +101,11 @@ void triplanar(AttackOptions& o) {
 }
 
 /// What carries furthest at equal passes of the surrogates (decision 11): each view is shown to one
-/// of them, so that there are more views, in small steps. Give it several surrogates.
+/// of them, so that there are more views, in small steps. Give it several surrogates, and time.
 void strong(AttackOptions& o) {
   o.ensemble = "views";
   o.views_per_step = 3;
+  o.steps = 1600;
 }
 
 constexpr const char* kTt3d = "Huang et al., TT3D, CVPR 2024";

@@ -20,10 +20,11 @@ namespace tt3d::model {
 /// Images in [0,1] to logits.
 using Logits = std::function<at::Tensor(const at::Tensor&)>;
 
-/// Compares the answers to the probe with the card's; forward alone, so it needs little memory.
+/// Compares the answers to the probe with the card's; forward alone and image by image,
+/// so it needs little memory.
 [[nodiscard]] ProbeReport probe_logits(const CardFile& file, const Logits& logits);
 
-/// Adds the gradients to the report: forward and backward, with all activations held.
+/// Adds the gradients to the report: forward and backward in whole batches, all activations held.
 void probe_gradients(const CardFile& file, const Logits& logits, ProbeReport& report);
 
 /// True if the differences are those of rounding to `precision`, not of another model.
