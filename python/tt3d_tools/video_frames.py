@@ -66,7 +66,9 @@ def ffmpeg_frames(
     import numpy as np
 
     ffmpeg = toolkit.need_program("ffmpeg", "video-score")
-    command = [ffmpeg, "-nostdin", "-v", "error", *before, "-i", video, "-map", "0:v:0", *after]
+    # Each decoding thread holds frames of its own, 4K ones if need be.
+    command = [ffmpeg, "-nostdin", "-v", "error", "-threads", "4", *before, "-i", video]
+    command += ["-map", "0:v:0", *after]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     size = width * height * 3
     # Its errors go to a file: a broken video has more of them than a pipe holds.

@@ -120,8 +120,9 @@ void probe_gradients(const CardFile& file, const Logits& logits, ProbeReport& re
   for (const ProbeCase& expected : file.probe.cases) {
     const at::Tensor images = images_of(expected, file).requires_grad_(true);
     const at::Tensor classes = at::tensor(expected.classes, at::kLong).unsqueeze(1);
-    const at::Tensor answer = logits(images).gather(1, classes).sum();
-    const auto gradient = torch::autograd::grad({answer}, {images});
+    const at::Tensor answer = logits(images);
+    report.logit_error = std::max(report.logit_error, logit_error(answer, expected));
+    const auto gradient = torch::autograd::grad({answer.gather(1, classes).sum()}, {images});
     compare_gradient(gradient[0], expected, file.probe.seed, report);
     report.gradients = true;
   }

@@ -24,7 +24,8 @@ using Logits = std::function<at::Tensor(const at::Tensor&)>;
 /// so it needs little memory.
 [[nodiscard]] ProbeReport probe_logits(const CardFile& file, const Logits& logits);
 
-/// Adds the gradients to the report: forward and backward in whole batches, all activations held.
+/// Adds the gradients to the report, and the logits once more: forward and backward in whole
+/// batches, all activations held.
 void probe_gradients(const CardFile& file, const Logits& logits, ProbeReport& report);
 
 /// True if the differences are those of rounding to `precision`, not of another model.
