@@ -60,7 +60,7 @@ struct InterpolateBackwardRast {
   }
 };
 
-/// Gradient with respect to the attributes of vertices [first,last).
+/// Gradient with respect to the attributes.
 template <typename T>
 struct InterpolateBackwardAttributes {
   const T* rast;
@@ -68,21 +68,19 @@ struct InterpolateBackwardAttributes {
   const T* grad_out;
   T* grad_attributes;
   Sizes s;
-  TT3D_HD void add(int64_t i, int64_t first, int64_t last) const {
+  TT3D_HD void operator()(int64_t i) const { add(i, grad_attributes); }
+  TT3D_HD void add(int64_t i, T* sums) const {
     const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
     if (face < 0) return;
     const T u = rast[4 * i], v = rast[4 * i + 1];
     const T weight[3] = {u, v, 1 - u - v};
     for (int c = 0; c < 3; ++c) {
-      const int32_t vertex = faces[3 * face + c];
-      if (vertex < first || vertex >= last) continue;
-      T* out = grad_attributes + vertex * s.channels;
+      T* out = sums + faces[3 * face + c] * s.channels;
       for (int64_t k = 0; k < s.channels; ++k) {
         accumulate(out + k, weight[c] * grad_out[i * s.channels + k]);
       }
     }
   }
-  TT3D_HD void operator()(int64_t i) const { add(i, 0, s.vertices); }
 };
 
 template <typename T>

@@ -1,5 +1,8 @@
 #pragma once
 
+#include <algorithm>
+#include <memory>
+
 #include "rasterize_math.h"
 #include "tt3d/device.h"
 
@@ -14,6 +17,40 @@ void for_each_pixel_in_order(const Sizes& s, const Body& body) {
       for (int64_t y = 0; y < s.height; ++y) {
         for (int64_t x = 0; x < s.width; ++x) body(PixelPlace{n, y, x});
       }
+    }
+  });
+}
+
+/// Adds to sums that pixels share: of each group (say, a view) `rows` rows of `length` numbers.
+/// Calls add(group, first, last, sums) for parts of each group's pixels. All but a group's first
+/// part have sums of their own, which are added in their order, and the parts do not depend on the
+/// threads: neither do the bytes of the result. Where there are more rows than pixels, clearing and
+/// adding them would cost more than it saves; then a group is one part.
+template <typename T, typename Add>
+void scatter_in_parts(int64_t groups, int64_t pixels, int64_t rows, int64_t length, T* sums,
+                      const Add& add) {
+  constexpr int64_t kParts = 8;
+  const int64_t count = rows * length;
+  const int64_t parts = std::clamp<int64_t>(
+      std::min(kParts / std::max<int64_t>(groups, 1), pixels / std::max<int64_t>(rows, 1)), 1,
+      kParts);
+  const auto others = std::make_unique_for_overwrite<T[]>(groups * (parts - 1) * count);
+  at::parallel_for(0, groups * parts, 1, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      const int64_t group = i / parts, part = i % parts;
+      T* out = sums + group * count;
+      if (part > 0) {
+        out = others.get() + (group * (parts - 1) + part - 1) * count;
+        std::fill_n(out, count, T{0});
+      }
+      add(group, part * pixels / parts, (part + 1) * pixels / parts, out);
+    }
+  });
+  if (parts == 1) return;
+  at::parallel_for(0, groups * count, 1 << 14, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      const T* other = others.get() + (i / count) * (parts - 1) * count + i % count;
+      for (int64_t part = 1; part < parts; ++part) sums[i] += other[(part - 1) * count];
     }
   });
 }

@@ -30,8 +30,9 @@ void draw_triangle(const TriangleSetup& t, int64_t face, const Sizes& s, Band<T>
       if (!hit_triangle(t, pixel_x(x, s.width), py, hit) || hit.zw >= depth[x]) continue;
       depth[x] = hit.zw;
       T* out = row + 4 * static_cast<int64_t>(x);
-      out[0] = static_cast<T>(hit.weight(0));
-      out[1] = static_cast<T>(hit.weight(1));
+      const double scale = hit.scale();
+      out[0] = static_cast<T>(hit.e[0] * scale);
+      out[1] = static_cast<T>(hit.e[1] * scale);
       out[2] = static_cast<T>(hit.zw);
       out[3] = static_cast<T>(face + 1);
     }
@@ -78,9 +79,34 @@ void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const S
   });
 }
 
+/// Neighbouring pixels mostly show the same triangle: its corners are loaded and its gradients
+/// added to the vertices' once a run of them.
 template <typename T>
 void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body) {
-  for_each_pixel_in_order(body.s, body);
+  const Sizes& s = body.s;
+  const int64_t pixels = s.height * s.width;
+  const auto add = [&](int64_t view, int64_t first, int64_t last, T* sums) {
+    int64_t shown = -1;
+    ClipTriangle triangle = {};
+    double grad[3][4] = {};
+    for (int64_t i = first; i < last; ++i) {
+      const T* rast = body.rast + 4 * (view * pixels + i);
+      const T* grad_rast = body.grad_rast + 4 * (view * pixels + i);
+      const auto face = static_cast<int64_t>(rast[3]) - 1;
+      if (face < 0 || (grad_rast[0] == 0 && grad_rast[1] == 0)) continue;
+      if (face != shown) {
+        if (shown >= 0) body.add(shown, grad, sums);
+        std::fill_n(&grad[0][0], 12, 0.0);
+        triangle = load_triangle(body.clip + view * s.vertices * 4, body.faces + 3 * face);
+        shown = face;
+      }
+      rasterize_backward(triangle, pixel_x(i % s.width, s.width), pixel_y(i / s.width, s.height),
+                         static_cast<double>(grad_rast[0]), static_cast<double>(grad_rast[1]),
+                         grad);
+    }
+    if (shown >= 0) body.add(shown, grad, sums);
+  };
+  scatter_in_parts(s.views, pixels, s.vertices, 4, body.grad_clip, add);
 }
 
 template void rasterize(const Cpu&, const float*, const int32_t*, float*, const Sizes&);

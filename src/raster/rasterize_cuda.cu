@@ -83,7 +83,8 @@ __device__ void draw_batch(const TriangleSetup* setups, const int32_t* ids, int 
     Hit hit;
     if (!hit_triangle(t, px, py, hit)) continue;
     if (hides(hit.zw, ids[k], shown.depth, shown.face)) {
-      shown = {hit.weight(0), hit.weight(1), hit.zw, ids[k]};
+      const double scale = hit.scale();
+      shown = {hit.e[0] * scale, hit.e[1] * scale, hit.zw, ids[k]};
     }
   }
 }

@@ -36,6 +36,16 @@ TT3D_HD ClipVertex load_vertex(const T* clip, int64_t vertex) {
           static_cast<double>(p[3])};
 }
 
+/// A triangle's vertices in clip space.
+struct ClipTriangle {
+  ClipVertex corner[3];
+};
+
+template <typename T>
+TT3D_HD ClipTriangle load_triangle(const T* clip, const int32_t* face) {
+  return {{load_vertex(clip, face[0]), load_vertex(clip, face[1]), load_vertex(clip, face[2])}};
+}
+
 /// Edge function e(px,py) = a px + b py + c of the directed edge through two clip vertices;
 /// positive to its left. Doubles, because the terms cancel almost completely on small triangles.
 struct EdgeFunction {
@@ -146,14 +156,13 @@ TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, const ScreenPoin
   if (!p.in_front && !q.in_front && !r.in_front) return false;
   set_bounds(p, q, r, height, width, setup);
   if (setup.x_begin >= setup.x_end || setup.y_begin >= setup.y_end) return false;
-  const ClipVertex v[3] = {load_vertex(clip, face[0]), load_vertex(clip, face[1]),
-                           load_vertex(clip, face[2])};
+  const ClipTriangle v = load_triangle(clip, face);
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3;
     const int j = (k + 2) % 3;
-    setup.edge[k] = edge_function(v[i], v[j], face[i], face[j]);
-    setup.z[k] = v[k].z;
-    setup.w[k] = v[k].w;
+    setup.edge[k] = edge_function(v.corner[i], v.corner[j], face[i], face[j]);
+    setup.z[k] = v.corner[k].z;
+    setup.w[k] = v.corner[k].w;
   }
   return true;
 }
@@ -171,8 +180,8 @@ TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, 
 struct Hit {
   double e[3];
   double zw;
-  /// Perspective-correct weight of vertex k.
-  [[nodiscard]] TT3D_HD double weight(int k) const { return e[k] / (e[0] + e[1] + e[2]); }
+  /// The factor that makes the edge functions' values the perspective-correct weights.
+  [[nodiscard]] TT3D_HD double scale() const { return 1 / (e[0] + e[1] + e[2]); }
 };
 
 /// Whether the pixel at which the edge functions have values e lies inside: on the same side of
@@ -207,14 +216,12 @@ TT3D_HD bool hides(double depth, int64_t face, double shown_depth, int64_t shown
 
 /// Backward of one pixel's (u,v): adds to grad[3][4], the gradients of the triangle's vertices.
 /// With p' = p.xy - P p.w and a_k = cross of the other two p', u = a_0/sum a, v = a_1/sum a.
-template <typename T>
-TT3D_HD void rasterize_backward(const T* clip, const int32_t* face, double px, double py,
-                                double grad_u, double grad_v, double grad[3][4]) {
+TT3D_HD void rasterize_backward(const ClipTriangle& triangle, double px, double py, double grad_u,
+                                double grad_v, double grad[3][4]) {
   double x[3], y[3];
   for (int k = 0; k < 3; ++k) {
-    const ClipVertex v = load_vertex(clip, face[k]);
-    x[k] = v.x - px * v.w;
-    y[k] = v.y - py * v.w;
+    x[k] = triangle.corner[k].x - px * triangle.corner[k].w;
+    y[k] = triangle.corner[k].y - py * triangle.corner[k].w;
   }
   double a[3];
   for (int k = 0; k < 3; ++k) {
@@ -246,19 +253,21 @@ struct RasterizeBackwardPixel {
   const T* grad_rast;
   T* grad_clip;
   Sizes s;
-  TT3D_HD void operator()(int64_t i) const { (*this)(place_of(i, s)); }
-  TT3D_HD void operator()(const PixelPlace& at) const {
-    const int64_t i = (at.view * s.height + at.row) * s.width + at.column;
+  TT3D_HD void operator()(int64_t i) const {
     const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
-    const double grad_u = static_cast<double>(grad_rast[4 * i]);
-    const double grad_v = static_cast<double>(grad_rast[4 * i + 1]);
-    if (face < 0 || (grad_u == 0 && grad_v == 0)) return;
-    const int32_t* triangle = faces + 3 * face;
+    if (face < 0) return;
+    const PixelPlace at = place_of(i, s);
+    const int64_t first = at.view * s.vertices * 4;
     double grad[3][4] = {};
-    rasterize_backward(clip + at.view * s.vertices * 4, triangle, pixel_x(at.column, s.width),
-                       pixel_y(at.row, s.height), grad_u, grad_v, grad);
+    rasterize_backward(load_triangle(clip + first, faces + 3 * face), pixel_x(at.column, s.width),
+                       pixel_y(at.row, s.height), static_cast<double>(grad_rast[4 * i]),
+                       static_cast<double>(grad_rast[4 * i + 1]), grad);
+    add(face, grad, grad_clip + first);
+  }
+  /// Adds the gradients of a triangle's vertices to those of the view.
+  TT3D_HD void add(int64_t face, const double grad[3][4], T* sums) const {
     for (int k = 0; k < 3; ++k) {
-      T* out = grad_clip + (at.view * s.vertices + triangle[k]) * 4;
+      T* out = sums + static_cast<int64_t>(faces[3 * face + k]) * 4;
       for (int c = 0; c < 4; ++c) accumulate(out + c, static_cast<T>(grad[k][c]));
     }
   }

@@ -67,6 +67,26 @@ TEST(RasterGradient, InterpolateAgainstCentralDifferences) {
   EXPECT_LT(error, 1e-6);
 }
 
+TEST(RasterGradient, InterpolateOfAnyWidthAgainstTensorReference) {
+  const at::Tensor faces = scene_faces();
+  const at::Tensor rast = rasterize(scene_clip(), faces, kSize, kSize);
+  const at::Tensor shown = rast.select(-1, 3).to(at::kLong) - 1;
+  const at::Tensor weights =
+      at::cat({rast.narrow(-1, 0, 2), 1 - rast.narrow(-1, 0, 2).sum(-1, true)}, -1);
+  for (int64_t channels = 1; channels <= 6; ++channels) {
+    const at::Tensor weight = uniform({2, kSize, kSize, channels}, -1, 1, 14);
+    const at::Tensor a = uniform({9, channels}, -1, 1, 15).requires_grad_(true);
+    const at::Tensor b = a.detach().clone().requires_grad_(true);
+    const at::Tensor corners = b.index_select(
+        0, faces.to(at::kLong).index_select(0, shown.clamp_min(0).flatten()).flatten());
+    const at::Tensor blended =
+        (corners.view({2, kSize, kSize, 3, channels}) * weights.unsqueeze(-1)).sum(3);
+    (interpolate(a, rast, faces) * weight).sum().backward();
+    (blended * (shown >= 0).unsqueeze(-1) * weight).sum().backward();
+    EXPECT_LT((a.grad() - b.grad()).abs().max().item<double>(), 1e-12) << channels;
+  }
+}
+
 TEST(RasterGradient, AntialiasAgainstCentralDifferences) {
   const at::Tensor faces = scene_faces();
   const at::Tensor twins = edge_twins(faces);

@@ -160,8 +160,12 @@ TEST(Rasterize, TriangleThroughTheCameraPlaneShowsItsFrontPart) {
   EXPECT_EQ(hit.narrow(1, 0, 8).sum().item<int64_t>(), 0);
 }
 
-TEST(Rasterize, SameBytesWithOneAndTwoThreads) {
-  const Shape shape = testing::sphere(4);
+/// With few vertices a view's pixels are dealt out in parts, with many they are not.
+class Threads : public ::testing::TestWithParam<int> {};
+INSTANTIATE_TEST_SUITE_P(CoarseAndFine, Threads, ::testing::Values(1, 4));
+
+TEST_P(Threads, OneOrTwoGiveTheSameBytes) {
+  const Shape shape = testing::sphere(GetParam());
   at::Tensor clip = perspective(shape.vertices);
   clip = at::cat({clip, clip * 1.1});
   const at::Tensor color = testing::uniform({2, 64, 64, 3}, 0, 1, 5).to(at::kFloat);
