@@ -1,10 +1,10 @@
 """Classifiers: tt3d against PyTorch's eager mode, forward and backward, in alternating runs.
 
-    scripts/bench models [--batch 8] [--threads N] [--pairs 15] [NAME...]
+    scripts/bench models [--batch 8] [--threads N] [--pairs 15] [--loading] [NAME...]
 
 Same machine, threads, batch and network (random weights). A pair is one run of each, one right
 after the other; the ratio of a pair cancels what the rest of the machine is doing at the time.
-Rewrites the section between the marks in docs/benchmarks.md.
+Rewrites its sections of docs/benchmarks.md.
 """
 
 import argparse
@@ -129,7 +129,20 @@ def loading() -> dict[str, float]:
     return result
 
 
-def section(rows: list[Row], load: dict[str, float], options: argparse.Namespace) -> str:
+def loading_text() -> str:
+    """Measure loading ResNet-101; returns the text between its marks."""
+    load = loading()
+    return (
+        f"Loading ResNet-101 (180 MB), best of {LOADS}, load average {os.getloadavg()[0]:.1f} at "
+        f"the end: {load['probe_seconds']:.2f} s and {load['probe_memory']:.2f} times the "
+        f"archive's size at its peak, to read, check SHA-256 and CRC, fold, and compare the "
+        f"probe's logits; without the probe {load['read_seconds']:.2f} s and "
+        f"{load['read_memory']:.2f} times. The probe's gradients are compared before the first "
+        f"gradient is asked for."
+    )
+
+
+def section(rows: list[Row], options: argparse.Namespace) -> str:
     """Return the text between the marks."""
     cores = os.cpu_count()
     lines = [
@@ -144,13 +157,6 @@ def section(rows: list[Row], load: dict[str, float], options: argparse.Namespace
         each = 1000 / options.batch
         lines.append(f"| {row.name} | {row.eager * each:.1f} | {row.cpp * each:.1f} "
                      f"| {row.ratio:.2f} |")  # fmt: skip
-    lines += [
-        "",
-        f"Loading ResNet-101 (180 MB), best of {LOADS}: {load['read_seconds']:.2f} s and "
-        f"{load['read_memory']:.2f} times the archive's size at its peak to read, check SHA-256 "
-        f"and CRC, and fold; with the probe, which runs the network forward and backward on two "
-        f"images, {load['probe_seconds']:.2f} s and {load['probe_memory']:.2f} times.",
-    ]
     return "\n".join(lines)
 
 
@@ -161,16 +167,21 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--pairs", type=int, default=15)
+    parser.add_argument("--loading", action="store_true", help="loading alone")
     options = parser.parse_args()
+    if options.loading:
+        options.names = ()
     torch.set_num_threads(options.threads)
     rows = []
     for name in options.names:
         rows.append(compare(name, options))
         print(f"{name}: tt3d / eager = {rows[-1].ratio:.2f}", flush=True)
-    text = section(rows, loading(), options)
-    print(text)
+    if rows:
+        print(section(rows, options))
     if tuple(options.names) == NAMES:
-        write_section("models", text)
+        write_section("models", section(rows, options))
+    if options.loading or tuple(options.names) == NAMES:
+        write_section("loading", loading_text())
 
 
 if __name__ == "__main__":
