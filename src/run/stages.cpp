@@ -303,6 +303,8 @@ void Run::run_evaluate(Progress& progress) {
   options.background = config_.evaluate_background;
   options.seed = config_.seed;
   options.device = device_;
+  options.renderer.samples = config_.evaluate_samples;
+  options.geometry = config_.evaluate_geometry != 0;
   write_record(evaluate_asset(options, progress), folder_ / "eval" / "builtin.json");
 }
 

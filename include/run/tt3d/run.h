@@ -47,6 +47,8 @@ struct RunConfig {
   std::string evaluate_distribution = "dome";
   int evaluate_size = 400;
   std::string evaluate_background = "white";
+  int evaluate_samples = 1;   ///< rays a pixel, a square number
+  int evaluate_geometry = 0;  ///< 1: also shapes against the clean object
 
   /// Keys that a file or an assignment gave: another preset leaves them alone.
   std::set<std::string> given;
