@@ -258,5 +258,8 @@ struct VideoRecord {
 /// JSON with ASR by victim and by background label; and a CSV row a frame and victim.
 [[nodiscard]] std::string video_json(const VideoRecord& record);
 [[nodiscard]] std::string video_csv(const VideoRecord& record);
+/// Writes FILE.json, FILE.csv, and up to 60 frames evenly as pictures into FILE.frames, which the
+/// JSON's `strip` lists with the answers.
+void write_video_record(const VideoRecord& record, const std::filesystem::path& json_path);
 
 }  // namespace tt3d
