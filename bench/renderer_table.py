@@ -114,11 +114,12 @@ class Table:
             out = folder / f"eval/{condition.name}.json"
             # Under light the clean object's accuracy is the run's own: half the pictures suffice.
             clean = [] if condition.lit else ["--clean", folder / "asset/clean.glb"]
+            samples = ["--samples", LIGHT_SAMPLES] if condition.lit else []
             if not out.is_file():
                 run_folders.tt3d(self.program, "evaluate", asset, *clean, "--target", target,
                                  "--true-class", true_class, "--victims", *VICTIMS, "--views",
-                                 str(self.views), *condition.options, "--samples",
-                                 LIGHT_SAMPLES, "--out", out)  # fmt: skip
+                                 str(self.views), *condition.options, *samples,
+                                 "--out", out)  # fmt: skip
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -69,7 +69,9 @@ void add_view_options(CLI::App& command, Arguments& a) {
   command.add_option("--renderer", renderer.name, "builtin, mitsuba, blender or meshlab")
       ->capture_default_str();
   command.add_flag("--lit", renderer.lit, "environment light, sun and ground; not builtin");
-  command.add_option("--samples", renderer.samples, "rays a pixel; default 16, 64 in lit Mitsuba")
+  command
+      .add_option("--samples", renderer.samples,
+                  "rays a pixel; default 1 builtin, 64 in lit Mitsuba, else 16")
       ->check(CLI::Range(1, 65536));
   command
       .add_option("--view-time-limit", renderer.time_limit_seconds,

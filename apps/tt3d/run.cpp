@@ -105,16 +105,23 @@ void report_runs(Arguments& a, const Common& common) {
     if (!fs::is_directory(folder / "eval")) {
       throw InputError(folder, "expected a run folder with evaluations in eval/");
     }
-    compared.push_back({folder.filename().empty() ? folder.parent_path().filename().string()
-                                                  : folder.filename().string(),
-                        records_in(folder / "eval").evaluations,
-                        fs::exists(folder / "run.json") ? read_file(folder / "run.json") : ""});
+    const RecordTexts records = records_in(folder / "eval");
+    ComparedRun run{folder.filename().empty() ? folder.parent_path().filename().string()
+                                              : folder.filename().string(),
+                    records.evaluations,
+                    fs::exists(folder / "run.json") ? read_file(folder / "run.json") : "",
+                    records.judges,
+                    {}};
+    for (const fs::path& video : records.videos) run.video_records.push_back(read_file(video));
+    compared.push_back(std::move(run));
   }
   const Comparison page = compare_runs(compared);
   const fs::path out = a.out;
-  write_file_atomic(out / "comparison.csv", page.csv);
+  for (const ComparedTable& table : page.tables) {
+    write_file_atomic(out / (table.file + ".csv"), table.csv);
+    write_file_atomic(out / (table.file + ".tex"), table.latex);
+  }
   write_file_atomic(out / "comparison.json", page.json);
-  write_file_atomic(out / "comparison.tex", page.latex);
   write_file_atomic(out / "comparison.html", page.html);
   std::cout << (out / "comparison.html").string() << "\n";
 }
@@ -228,7 +235,8 @@ void add_run_commands(CLI::App& app, Common& common) {
   CLI::App* report =
       app.add_subcommand("report", "report.html of a run; with --out, many compared");
   report->add_option("RUN", a->runs, "run folders")->required();
-  report->add_option("--out", a->out, "folder for comparison.html, .csv, .json and .tex");
+  report->add_option("--out", a->out,
+                     "folder for comparison.html, .json, and tables as .csv and .tex");
   report->add_option("--set", a->sets, "key=value of the configuration, of a single run");
   add_common_options(*report, common);
   report->callback([a, &common] { report_runs(*a, common); });

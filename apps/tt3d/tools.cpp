@@ -9,6 +9,7 @@
 #include "commands.h"
 #include "tt3d/evaluate.h"
 #include "tt3d/report.h"
+#include "tt3d/run.h"
 #include "tt3d/tensor_file.h"
 #include "tt3d/tool.h"
 
@@ -237,6 +238,7 @@ void judge(const JudgeArguments& a, const Common& common) {
   json result = json::parse(read_file(folder / "answers.json"));
   result["asset"] = a.asset;
   result["renderer"] = {{"name", a.renderer.name}, {"lit", a.renderer.lit}};
+  result["background"] = a.background;
   result["views"] = {{"distribution", a.distribution}, {"count", a.views}, {"seed", common.seed}};
   if (!a.out.empty()) write_file_atomic(a.out, result.dump(1) + "\n");
   if (common.json) {
@@ -279,35 +281,17 @@ void add_judge(CLI::App& app, Common& common) {
 
 // ---- video-score --------------------------------------------------------------------------
 
-/// Every frame of the strip with what each victim says.
-void write_strip(const VideoRecord& record, const fs::path& path) {
-  ReportInput input;
-  input.title = record.options.video.filename().string() + ": frames and answers";
-  for (size_t i = 0; i < record.frames.size(); ++i) {
-    const VideoFrame& f = record.frames[i];
-    ReportImage image{fmt::format("{:.1f} s", f.seconds), f.picture};
-    if (!f.background.empty()) image.caption += ", " + f.background;
-    for (const VictimRecord& v : record.victims) {
-      const ViewAnswer& a = v.answers[i];
-      const bool hit = a.top1 == record.target.index;
-      image.caption += fmt::format("; {}: {}{} {:.0f} %", v.name, hit ? "\u25c9 " : "",
-                                   a.top1_name.substr(0, a.top1_name.find(',')), 100 * a.p_top1);
-    }
-    input.images.push_back(image);
-  }
-  write_report(input, path);
-}
-
 void video_score(VideoOptions& o, const std::string& out, const Common& common) {
   o.device = apply_common(common);
   const auto progress = make_progress(common);
   const VideoRecord record = score_video(o, *progress);
   const std::string text = video_json(record);
   if (!out.empty()) {
-    fs::path path = out;
-    write_file_atomic(path.replace_extension(".csv"), video_csv(record));
-    write_strip(record, path.replace_extension(".html"));
-    write_file_atomic(out, text);
+    write_video_record(record, out);
+    ReportInput page;
+    page.title = o.video.filename().string() + ": frames and answers";
+    page.videos = {read_video(out)};
+    write_report(page, fs::path(out).replace_extension(".html"));
   }
   if (common.json) {
     std::cout << text;
@@ -345,7 +329,8 @@ void add_video_score(CLI::App& app, Common& common) {
   command->add_option("--time-limit", o->time_limit_seconds, "seconds")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  command->add_option("--out", *out, "FILE.json; FILE.csv and FILE.html are written beside it");
+  command->add_option("--out", *out,
+                      "FILE.json; beside it FILE.csv, FILE.html and the pictures in FILE.frames");
   add_common_options(*command, common);
   command->callback([o, out, &common] { video_score(*o, *out, common); });
 }

@@ -1,6 +1,7 @@
 #include <ATen/ATen.h>
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <sstream>
@@ -76,6 +77,40 @@ json share(const VictimRecord& victim, const std::vector<size_t>& frames, int64_
   return {{"frames", n},
           {"asr", n == 0 ? 0 : static_cast<double>(hits) / static_cast<double>(n)},
           {"asr_ci95", {interval.low, interval.high}}};
+}
+
+/// Frames that become pictures: as many as a page can show, evenly.
+std::vector<size_t> strip_frames(size_t count) {
+  constexpr size_t kStrip = 60;
+  std::vector<size_t> chosen;
+  for (size_t i = 0; i < std::min(kStrip, count); ++i) {
+    chosen.push_back(i * count / std::min(kStrip, count));
+  }
+  return chosen;
+}
+
+/// Writes the pictures into `folder`; a line for each with its answers.
+json write_strip(const VideoRecord& r, const fs::path& folder) {
+  make_folder(folder);
+  json strip = json::array();
+  for (const size_t i : strip_frames(r.frames.size())) {
+    const VideoFrame& f = r.frames[i];
+    const std::string name = fmt::format("{:05}.jpg", i);
+    write_file_atomic(folder / name, encode_jpeg(f.picture));
+    json answers = json::array();
+    for (const VictimRecord& v : r.victims) {
+      const ViewAnswer& a = v.answers[i];
+      answers.push_back({{"victim", v.name},
+                         {"answer", a.top1_name},
+                         {"probability", a.p_top1},
+                         {"is_target", a.top1 == r.target.index}});
+    }
+    strip.push_back({{"picture", name},
+                     {"seconds", f.seconds},
+                     {"background", f.background},
+                     {"answers", answers}});
+  }
+  return strip;
 }
 
 }  // namespace
@@ -185,6 +220,14 @@ std::string video_csv(const VideoRecord& r) {
     }
   }
   return text;
+}
+
+void write_video_record(const VideoRecord& record, const fs::path& json_path) {
+  fs::path beside = json_path;
+  write_file_atomic(beside.replace_extension(".csv"), video_csv(record));
+  json j = json::parse(video_json(record));
+  j["strip"] = write_strip(record, beside.replace_extension(".frames"));
+  write_file_atomic(json_path, j.dump(1) + "\n");
 }
 
 }  // namespace tt3d

@@ -32,40 +32,57 @@ std::string answer_row(const ReportVictimAnswer& answer) {
       100 * answer.probability);
 }
 
+std::string answer_list(const std::vector<ReportVictimAnswer>& answers) {
+  std::string html = "<ul>";
+  for (const ReportVictimAnswer& answer : answers) html += answer_row(answer);
+  return html + "</ul>";
+}
+
+/// What the marks of the answers mean.
+std::string key_of_marks(const std::string& target) {
+  const std::string name = target.empty() ? "the target class" : "\u201c" + target + "\u201d";
+  return "<span class=\"hit key\"><span class=\"mark\" aria-hidden=\"true\">\u25c9</span> says " +
+         escape(name) +
+         "</span> <span class=\"miss key\"><span class=\"mark\" aria-hidden=\"true\">\u25cb</span> "
+         "says something else</span>";
+}
+
+std::string frame_card(const ReportFrame& frame) {
+  std::string when = fmt::format("{:.1f}\u00a0s", frame.seconds);
+  if (!frame.background.empty()) when += ", " + frame.background;
+  return "<li class=\"view\">" + picture(frame.picture, "frame at " + when) + "<p>" + escape(when) +
+         "</p>" + answer_list(frame.answers) + "</li>\n";
+}
+
 std::string card(const ReportView& view) {
   std::string html = "<figure class=\"view\"><div class=\"pair\">";
   if (view.clean.defined()) {
     html += "<div>" + picture(view.clean, "clean object, " + where(view)) + "<i>clean</i></div>";
   }
   html += "<div>" + picture(view.adversarial, "adversarial object, " + where(view)) +
-          "<i>adversarial</i></div></div>\n<figcaption>" + where(view) + "</figcaption>\n<ul>";
-  for (const ReportVictimAnswer& answer : view.answers) html += answer_row(answer);
-  return html + "</ul></figure>\n";
+          "<i>adversarial</i></div></div>\n<figcaption>" + where(view) + "</figcaption>\n";
+  return html + answer_list(view.answers) + "</figure>\n";
 }
 
 }  // namespace
 
 std::string contact_sheet(const std::vector<ReportView>& views, const std::string& target) {
   if (views.empty()) return "";
-  const std::string name = target.empty() ? "the target class" : "\u201c" + target + "\u201d";
-  std::string html =
-      "<p>What each model says to the adversarial picture. <span class=\"hit key\">"
-      "<span class=\"mark\" aria-hidden=\"true\">\u25c9</span> says " +
-      escape(name) +
-      "</span> <span class=\"miss key\"><span class=\"mark\" aria-hidden=\"true\">\u25cb</span> "
-      "says something else</span></p>\n<div class=\"sheet\">\n";
+  std::string html = "<p>What each model says to the adversarial picture. " + key_of_marks(target) +
+                     "</p>\n<div class=\"sheet\">\n";
   for (const ReportView& view : views) html += card(view);
   return html + "</div>\n";
 }
 
-std::string gallery(const std::vector<ReportImage>& images) {
-  if (images.empty()) return "";
-  std::string html = "<div class=\"sheet\">\n";
-  for (const ReportImage& one : images) {
-    html += "<figure class=\"view\">" + picture(one.image, one.caption) + "<figcaption>" +
-            escape(one.caption) + "</figcaption></figure>\n";
-  }
-  return html + "</div>\n";
+std::string frame_strip(const std::vector<ReportFrame>& frames, const std::string& video,
+                        const std::string& target) {
+  if (frames.empty()) return "";
+  std::string html =
+      "<p>What each model says to a frame. " + key_of_marks(target) +
+      "</p>\n<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"Frames of " + video +
+      "\"><ol class=\"strip\">\n";
+  for (const ReportFrame& frame : frames) html += frame_card(frame);
+  return html + "</ol></div>\n";
 }
 
 }  // namespace tt3d::report

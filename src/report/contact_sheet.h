@@ -11,7 +11,8 @@ namespace tt3d::report {
 [[nodiscard]] std::string contact_sheet(const std::vector<ReportView>& views,
                                         const std::string& target);
 
-/// Captioned pictures.
-[[nodiscard]] std::string gallery(const std::vector<ReportImage>& images);
+/// Frames of a video in a row that scrolls, with what each victim says; `video` is HTML.
+[[nodiscard]] std::string frame_strip(const std::vector<ReportFrame>& frames,
+                                      const std::string& video, const std::string& target);
 
 }  // namespace tt3d::report

@@ -7,8 +7,10 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "page_parts.h"
 #include "tt3d/capture.h"
 #include "tt3d/core.h"
+#include "tt3d/version.h"
 
 namespace tt3d::report {
 
@@ -52,6 +54,30 @@ std::string fill(std::string_view text, const std::map<std::string, std::string>
     at = close + 2;
   }
   return out.append(text.substr(at));
+}
+
+std::string page(std::map<std::string, std::string> parts) {
+  for (const char* part : {"headline", "objects", "results", "renderers", "tasks", "videos",
+                           "spheres", "quality", "sheet", "curves", "stages", "provenance"}) {
+    parts.try_emplace(part);
+  }
+  parts.try_emplace("style", kPageCss);
+  parts.try_emplace("version", kVersion);
+  return fill(kPageHtml, parts);
+}
+
+std::string head_cell(const std::string& html) { return "<th scope=\"col\">" + html + "</th>"; }
+
+std::string row_head(const std::string& html) { return "<th scope=\"row\">" + html + "</th>"; }
+
+std::string cell(const std::string& label, const std::string& html) {
+  return "<td data-label=\"" + label + "\">" + html + "</td>";
+}
+
+std::string table(const std::string& name, const std::string& head, const std::string& body) {
+  return "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"" + name +
+         "\"><table class=\"results\"><thead><tr>" + head + "</tr></thead>\n<tbody>\n" + body +
+         "</tbody></table></div>\n";
 }
 
 std::string section(std::string_view id, std::string_view title, const std::string& body) {

@@ -25,6 +25,17 @@ using Json = nlohmann::ordered_json;
 [[nodiscard]] std::string section(std::string_view id, std::string_view title,
                                   const std::string& body);
 
+/// The page's template filled; parts without a value are left out.
+[[nodiscard]] std::string page(std::map<std::string, std::string> parts);
+
+/// Cells of a table, HTML given; `label` is the column's name where a narrow page stacks the cells.
+[[nodiscard]] std::string head_cell(const std::string& html);
+[[nodiscard]] std::string row_head(const std::string& html);
+[[nodiscard]] std::string cell(const std::string& label, const std::string& html);
+/// A table in a region of its own that scrolls where it is too wide and is reached by keyboard.
+[[nodiscard]] std::string table(const std::string& name, const std::string& head,
+                                const std::string& body);
+
 /// Picture [H,W,3] uint8 with the longer side at most `max_size`, as a data: address of a JPEG.
 /// Throws InputError for another shape or type.
 [[nodiscard]] std::string jpeg_address(const at::Tensor& image, int64_t max_size, int quality);

@@ -7,25 +7,12 @@
 #include <filesystem>
 #include <set>
 
+#include "contact_sheet.h"
+
 namespace tt3d::report {
 namespace {
 
 constexpr const char* kNone = "\u2013";
-
-std::string head_cell(const std::string& text) { return "<th scope=\"col\">" + text + "</th>"; }
-
-std::string row_head(const std::string& text) { return "<th scope=\"row\">" + text + "</th>"; }
-
-/// A cell; `label` is its column's name where a narrow page stacks the cells.
-std::string cell(const std::string& label, const std::string& value) {
-  return "<td data-label=\"" + label + "\">" + value + "</td>";
-}
-
-std::string table(const std::string& name, const std::string& head, const std::string& body) {
-  return "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"" + name +
-         "\"><table class=\"results\"><thead><tr>" + head + "</tr></thead>\n<tbody>\n" + body +
-         "</tbody></table></div>\n";
-}
 
 std::string renderer_words(const Json& record) {
   const Json renderer = member(record, "renderer"), lit = member(renderer, "lit");
@@ -59,21 +46,12 @@ std::set<std::string> names_of(const Json& category) {
   return names;
 }
 
-/// "target" or "true class" as a mark behind a phrase.
-std::string role_of(const std::string& phrase, const Json& own) {
-  if (names_of(member(own, "target")).contains(lower(phrase))) {
-    return " <span class=\"role seen\">target</span>";
-  }
-  if (names_of(member(own, "true_class")).contains(lower(phrase))) {
-    return " <span class=\"role unseen\">true class</span>";
-  }
-  return "";
-}
-
-std::string task_words(const std::string& task) {
-  if (task == "detect") return "detection";
-  if (task == "caption") return "captions";
-  return task == "zeroshot" ? "zero-shot classification" : escape(task);
+/// A phrase with "target" or "true class" as a mark behind it.
+std::string marked_phrase(const std::string& phrase, const Json& own) {
+  const std::string role = phrase_role(phrase, own);
+  if (role.empty()) return escape(phrase);
+  return fmt::format("{} <span class=\"role {}\">{}</span>", escape(phrase),
+                     role == "target" ? "seen" : "unseen", role);
 }
 
 /// A share with the number of frames it is of.
@@ -95,6 +73,10 @@ std::vector<std::string> labels_of(const Json& video) {
   return labels;
 }
 
+std::string video_name(const Json& video) {
+  return escape(std::filesystem::path(text(video, "video")).filename().string());
+}
+
 std::string video_table(const Json& video) {
   const std::vector<std::string> labels = labels_of(video);
   const auto shown = [](const std::string& label) {
@@ -111,8 +93,7 @@ std::string video_table(const Json& video) {
     }
     body += "</tr>\n";
   }
-  const std::string name = escape(std::filesystem::path(text(video, "video")).filename().string());
-  return "<h3>" + name + "</h3>\n" + table("Video " + name, head, body);
+  return table("Video " + video_name(video), head, body);
 }
 
 std::string fact(const std::string& name, const std::string& value) {
@@ -135,6 +116,17 @@ std::string geometry_facts(const Json& geometry) {
 }
 
 }  // namespace
+
+std::string phrase_role(const std::string& phrase, const Json& own) {
+  if (names_of(member(own, "target")).contains(lower(phrase))) return "target";
+  return names_of(member(own, "true_class")).contains(lower(phrase)) ? "true class" : "";
+}
+
+std::string task_words(const std::string& task) {
+  if (task == "detect") return "detection";
+  if (task == "caption") return "captions";
+  return task == "zeroshot" ? "zero-shot classification" : task;
+}
 
 std::string renderer_table(const Json& own, const std::vector<std::string>& others) {
   if (others.empty()) return "";
@@ -167,8 +159,8 @@ std::string task_table(const std::vector<std::string>& judges, const Json& own) 
     const auto views = number(member(record, "views"), "count");
     for (const auto& [phrase, share] : shares.items()) {
       body +=
-          "<tr>" + row_head(task_words(text(record, "task"))) +
-          cell("phrase", escape(phrase) + role_of(phrase, own)) +
+          "<tr>" + row_head(escape(task_words(text(record, "task")))) +
+          cell("phrase", marked_phrase(phrase, own)) +
           cell("found in",
                share.is_number() ? "<b>" + percent(share.get<double>()) + "</b>" : kNone) +
           cell("views", views ? fmt::format("{:.0f}", *views) : kNone) +
@@ -187,14 +179,18 @@ std::string task_table(const std::vector<std::string>& judges, const Json& own) 
          "adversarial object: the share in which each phrase was found.</p>\n";
 }
 
-std::string video_tables(const std::vector<std::string>& videos) {
-  std::string html;
-  for (const std::string& video : videos)
-    html += video_table(parse_json(video, "a video's record"));
-  if (html.empty()) return "";
-  return html +
-         "<p class=\"note\">The share of sampled frames that each model assigns to the target "
-         "class, over all and by background.</p>\n";
+std::string video_parts(const std::vector<ReportVideo>& videos) {
+  if (videos.empty()) return "";
+  std::string html =
+      "<p>The share of sampled frames that each model assigns to the target class, over all and by "
+      "background.</p>\n";
+  for (const ReportVideo& video : videos) {
+    const Json record = parse_json(video.record_json, "a video's record");
+    const std::string name = video_name(record);
+    html += "<h3>" + name + "</h3>\n" + video_table(record) +
+            frame_strip(video.frames, name, text(member(record, "target"), "name"));
+  }
+  return html;
 }
 
 std::string geometry_list(const Json& own, const std::vector<std::string>& others) {

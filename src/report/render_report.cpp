@@ -8,7 +8,6 @@
 #include "record_tables.h"
 #include "run_facts.h"
 #include "tt3d/report.h"
-#include "tt3d/version.h"
 #include "view_sphere.h"
 #include "viewer_object.h"
 
@@ -80,10 +79,8 @@ std::string render_report(const ReportInput& input) {
                   parse_json(input.mesh_metrics_json, "the mesh's metrics"),
                   surrogate_names(run, input.config_toml));
   const std::string title = input.title.empty() ? "Adversarial 3D object" : input.title;
-  return fill(
-      kPageHtml,
+  return page(
       {{"title", escape(title)},
-       {"style", kPageCss},
        {"summary", summary(figures)},
        {"headline", headline(figures)},
        {"objects", viewer_section(viewer_objects(input))},
@@ -91,21 +88,19 @@ std::string render_report(const ReportInput& input) {
        {"renderers",
         section("renderers", "Other renderers", renderer_table(record, input.other_records))},
        {"tasks", section("tasks", "Other tasks", task_table(input.judge_records, record))},
-       {"videos", section("videos", "Videos", video_tables(input.video_records))},
+       {"videos", section("videos", "Videos", video_parts(input.videos))},
        {"spheres",
         section("spheres", "Where the attack fails", view_spheres(input.views_csv, record))},
        {"quality", section("quality", "Naturalness and quality",
                            quality_list(figures) + geometry_list(record, input.other_records))},
        {"sheet", section("views", "Views", contact_sheet(input.views, figures.target))},
-       {"images", section("pictures", "Pictures", gallery(input.images))},
        {"curves", section("curves", "Optimisation", curve_charts(input.curves_csv))},
        {"stages", section("stages", "Time and memory", stage_table(run))},
        {"provenance", section("provenance", "How this was made",
                               configuration(input.config_toml) +
                                   "<details><summary>Versions, "
                                   "seed and checksums</summary>\n" +
-                                  provenance(run, record) + "</details>\n")},
-       {"version", kVersion}});
+                                  provenance(run, record) + "</details>\n")}});
 }
 
 void write_report(const ReportInput& input, const std::filesystem::path& html) {

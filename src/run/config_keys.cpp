@@ -206,6 +206,10 @@ void Schema::bake_and_evaluate_keys(RunConfig& c) {
   integer("evaluate.size", c.evaluate_size, 16, 8192, "pixels", "side of the pictures");
   text("evaluate.background", c.evaluate_background, {},
        "white, #rrggbb or a folder of photographs");
+  integer("evaluate.samples", c.evaluate_samples, 1, 64, "rays",
+          "a pixel, a square number: more are averaged as a camera does");
+  integer("evaluate.geometry", c.evaluate_geometry, 0, 1, "",
+          "1: also compare shapes with the clean object (needs scripts/setup --all)");
 }
 
 }  // namespace tt3d::config

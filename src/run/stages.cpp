@@ -304,6 +304,8 @@ void Run::run_evaluate(Progress& progress) {
   options.background = config_.evaluate_background;
   options.seed = config_.seed;
   options.device = device_;
+  options.renderer.samples = config_.evaluate_samples;
+  options.geometry = config_.evaluate_geometry != 0;
   write_record(evaluate_asset(options, progress), folder_ / "eval" / "builtin.json");
 }
 
@@ -411,9 +413,35 @@ RecordTexts records_in(const fs::path& folder, const std::string& without) {
     if (!j.is_object()) continue;
     if (j.contains("victims") && j.contains("renderer")) records.evaluations.push_back(text);
     if (j.contains("task") && j.contains("shares")) records.judges.push_back(text);
-    if (j.contains("victims") && j.contains("video")) records.videos.push_back(text);
+    if (j.contains("victims") && j.contains("video")) records.videos.push_back(path);
   }
   return records;
+}
+
+ReportVideo read_video(const fs::path& path) {
+  ReportVideo video{read_file(path), {}};
+  fs::path folder = path;
+  folder.replace_extension(".frames");
+  if (!fs::is_directory(folder)) return video;
+  try {
+    const json record = json::parse(video.record_json);
+    for (const json& f : record.value("strip", json::array())) {
+      // The name alone: a record leads to no other folder.
+      const fs::path picture = folder / fs::path(f.at("picture").get<std::string>()).filename();
+      ReportFrame frame{read_image(picture).narrow(2, 0, 3).contiguous(),
+                        f.at("seconds"),
+                        f.at("background"),
+                        {}};
+      for (const json& a : f.at("answers")) {
+        frame.answers.push_back(
+            {a.at("victim"), a.at("answer"), a.at("probability"), a.at("is_target")});
+      }
+      video.frames.push_back(std::move(frame));
+    }
+  } catch (const json::exception& error) {
+    throw InputError(path, std::string("is not a record of video-score: ") + error.what());
+  }
+  return video;
 }
 
 void Run::run_report(Progress& progress) {
@@ -432,7 +460,7 @@ void Run::run_report(Progress& progress) {
   RecordTexts others = records_in(folder_ / "eval", "builtin.json");
   input.other_records = std::move(others.evaluations);
   input.judge_records = std::move(others.judges);
-  input.video_records = std::move(others.videos);
+  for (const fs::path& video : others.videos) input.videos.push_back(read_video(video));
   input.curves_csv = read_file(folder_ / "attack" / "curves.csv");
   input.config_toml = config_toml(config_);
   save();  // stages so far

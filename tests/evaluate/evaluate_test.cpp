@@ -58,6 +58,39 @@ TEST(Measures, WilsonIntervalOfATextbookCase) {
   EXPECT_EQ(wilson_interval(20, 20).high, 1);
 }
 
+TEST(AveragePixels, InLinearLightAndByCover) {
+  // Black and white beside each other are half the light: sRGB 0.735, not 0.5.
+  Tensor picture = at::ones({1, 2, 4, 4});
+  picture.slice(2, 0, 1).narrow(3, 0, 3).zero_();
+  // The right half: a white pixel, the other three see nothing.
+  picture.slice(2, 2, 4).zero_();
+  picture[0][0][2].fill_(1);
+  const Tensor mean = average_pixels(picture, 2);
+  ASSERT_EQ(mean.sizes(), at::IntArrayRef({1, 1, 2, 4}));
+  EXPECT_NEAR(mean[0][0][0][0].item<double>(), 0.735357, 1e-5);
+  EXPECT_NEAR(mean[0][0][0][3].item<double>(), 1, 1e-6);
+  EXPECT_NEAR(mean[0][0][1][1].item<double>(), 0.25, 1e-5);  // white, premultiplied
+  EXPECT_NEAR(mean[0][0][1][3].item<double>(), 0.25, 1e-6);
+  const Tensor flat = at::cat({at::full({1, 9, 9, 3}, 0.02F), at::ones({1, 9, 9, 1})}, 3);
+  EXPECT_TRUE(at::allclose(average_pixels(flat, 3), flat.slice(1, 0, 3).slice(2, 0, 3), 1e-4));
+}
+
+TEST(CheckRenderer, SamplesOfTheBuiltInOneAreSquares) {
+  RendererChoice choice;
+  for (const int samples : {0, 1, 4, 9, 64}) {
+    choice.samples = samples;
+    EXPECT_NO_THROW(check_renderer(choice)) << samples;
+  }
+  for (const int samples : {2, 8, 81}) {
+    choice.samples = samples;
+    EXPECT_THROW(check_renderer(choice), InputError) << samples;
+  }
+  choice.name = "mitsuba";
+  EXPECT_NO_THROW(check_renderer(choice));
+  EXPECT_EQ(samples_of(choice), 81);
+  EXPECT_EQ(samples_of({}), 1);
+}
+
 /// 100 pixels a side, at the origin, looking along -z.
 Camera front_camera() {
   Camera camera;

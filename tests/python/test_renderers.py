@@ -77,6 +77,23 @@ def test_unlit_pictures_agree_with_ours(
     assert psnr_on_object(ours, theirs[:, :, ::-1]) < 25
 
 
+@pytest.mark.parametrize("renderer", ["mitsuba", "blender", "meshlab"])
+def test_a_steep_texture_agrees_where_pixels_are_averaged(tmp_path: Path, renderer: str) -> None:
+    """What an attack makes: contrasts of a few texels, finer than a pixel where seen aslant."""
+    skip_without(renderer)
+    asset = write_asset(tmp_path)
+    random = np.random.default_rng(1)
+    coarse = random.integers(0, 256, (40, 80, 3)).astype(np.uint8)
+    Image.fromarray(coarse).resize((768, 384), Image.Resampling.BICUBIC).save(
+        tmp_path / "asset.png"
+    )
+    theirs = pictures(asset, tmp_path / "theirs", "--renderer", renderer)
+    one = pictures(asset, tmp_path / "one")
+    four = pictures(asset, tmp_path / "four", "--samples", "4")
+    assert psnr_on_object(one, theirs) < 28
+    assert psnr_on_object(four, theirs) > 30
+
+
 @pytest.mark.parametrize("renderer", ["mitsuba", "blender"])
 def test_lit_pictures_have_ground_and_shadow(
     assets: dict[str, Path], tmp_path: Path, renderer: str
@@ -137,6 +154,8 @@ def test_evaluate_records_the_renderer(assets: dict[str, Path], tmp_path: Path) 
 def test_light_needs_another_renderer(assets: dict[str, Path], tmp_path: Path) -> None:
     done = tt3d("render", assets["glb"], "--views", 1, "--lit", "--out", tmp_path / "x")
     assert done.returncode == 2 and "mitsuba" in done.stderr
+    done = tt3d("render", assets["glb"], "--views", 1, "--samples", 8, "--out", tmp_path / "x")
+    assert done.returncode == 2 and "square" in done.stderr
     done = tt3d("render", assets["glb"], "--views", 1, "--renderer", "pov", "--out", tmp_path / "x")
     assert done.returncode == 2 and "blender" in done.stderr
 

@@ -37,7 +37,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip(f"{program} is not built")
     folder = tmp_path_factory.mktemp("report")
     subprocess.run(
-        [program, "--gtest_filter=Report.WrittenForTheBrowser"],
+        [program, "--gtest_filter=*.WrittenForTheBrowser"],
         env={**os.environ, "TT3D_REPORT_OUT": str(folder)},
         check=True,
         capture_output=True,
@@ -129,6 +129,20 @@ return [e.tagName, e.id || e.className, (e.getAttribute("aria-label") || e.textC
 
 
 @pytest.mark.parametrize("width", [390, 1280])
+def test_runs_compared_on_any_screen(page: Path, width: int) -> None:
+    with browser() as driver:
+        set_width(driver, width)
+        driver.get((page.parent / "comparison.html").as_uri())
+        shown, needed = driver.execute_script(
+            "const e = document.documentElement; return [e.clientWidth, e.scrollWidth]"
+        )
+        assert width - 20 <= shown == needed
+        titles = [e.text for e in driver.find_elements("tag name", "h2")]
+        assert titles == ["Attack success", "Other tasks", "Videos"]
+        assert console_lines(driver) == []
+
+
+@pytest.mark.parametrize("width", [390, 1280])
 def test_all_that_can_be_used_is_reached_by_keyboard(page: Path, width: int) -> None:
     with browser() as driver:
         set_width(driver, width)
@@ -190,7 +204,14 @@ def test_what_a_screen_reader_is_told(page: Path) -> None:
     assert levels[0] == 1 and levels.count(1) == 1
     assert all(b <= a + 1 for a, b in itertools.pairwise(levels))
     regions = names("region")
-    for part in ("Attack success", "Other renderers", "Other tasks", "Videos", "By task"):
+    for part in (
+        "Attack success",
+        "Other renderers",
+        "Other tasks",
+        "Videos",
+        "By task",
+        "Frames of table <&>.mp4",
+    ):
         assert part in regions
     for role in ("image", "img", "button", "link", "region", "columnheader", "rowheader"):
         assert all(names(role)), role

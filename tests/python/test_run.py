@@ -1,5 +1,6 @@
 """The program from outside: one small run end to end, killed and resumed, and users' mistakes."""
 
+import csv
 import hashlib
 import json
 import os
@@ -138,6 +139,77 @@ def test_report_again_takes_what_has_come_to_eval(finished: Path, tmp_path: Path
     assert done.returncode == 0, done.stderr
     page = (run / "report.html").read_text()
     assert "Other renderers" in page and "mitsuba, lit" in page and "captions" in page
+
+
+def add_video(run: Path) -> dict:
+    """What `video-score --out RUN/eval/take.json` leaves, of one frame."""
+    image = pytest.importorskip("PIL.Image")
+    answer = {"victim": "toy", "answer": "teapot", "probability": 0.5, "is_target": True}
+    frame = {"picture": "00000.jpg", "seconds": 1.5, "background": "grass", "answers": [answer]}
+    victim = {"name": "toy", "asr": 1.0, "frames": 1, "asr_ci95": [0.2, 1.0], "backgrounds": {}}
+    record = {"video": "take.mp4", "victims": [victim], "strip": [frame]}
+    (run / "eval/take.json").write_text(json.dumps(record))
+    (run / "eval/take.frames").mkdir()
+    image.new("RGB", (40, 40), "green").save(run / "eval/take.frames/00000.jpg")
+    return record
+
+
+def test_report_shows_a_videos_frames(finished: Path, tmp_path: Path) -> None:
+    run = tmp_path / "copy"
+    shutil.copytree(finished / "out", run)
+    record = add_video(run)
+    assert tt3d("report", run).returncode == 0
+    page = (run / "report.html").read_text()
+    assert 'aria-label="Frames of take.mp4"' in page and 'alt="frame at 1.5' in page
+    # A name that leads out of the folder leads nowhere.
+    record["strip"][0]["picture"] = "../../../secret.jpg"
+    (run / "eval/take.json").write_text(json.dumps(record))
+    one_line(tt3d("report", run), 2, "secret.jpg")
+    record["strip"] = [{"picture": 3}]
+    (run / "eval/take.json").write_text(json.dumps(record))
+    one_line(tt3d("report", run), 2, "take.json")
+    # Without the pictures the shares are left.
+    shutil.rmtree(run / "eval/take.frames")
+    assert tt3d("report", run).returncode == 0
+    page = (run / "report.html").read_text()
+    assert "Frames of" not in page and "Video take.mp4" in page
+
+
+def test_geometry_and_samples_of_the_own_evaluation(finished: Path, tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    run = tmp_path / "copy"
+    shutil.copytree(finished / "out", run)
+    before = json.loads((run / "eval/builtin.json").read_text())
+    assert before["geometry"] is None and before["renderer"]["samples"] == 1
+    done = tt3d("bake", run, "--set", "evaluate.geometry=1", "--set", "evaluate.samples=4")
+    assert done.returncode == 0, done.stderr
+    done = tt3d("report", run)
+    assert done.returncode == 0, done.stderr
+    after = json.loads((run / "eval/builtin.json").read_text())
+    assert after["renderer"]["samples"] == 4
+    assert after["geometry"]["hausdorff"] >= after["geometry"]["chamfer"] > 0
+    assert "Chamfer distance" in (run / "report.html").read_text()
+
+
+def test_runs_compared_with_their_judges_and_videos(finished: Path, tmp_path: Path) -> None:
+    run = tmp_path / "copy"
+    shutil.copytree(finished / "out", run)
+    add_video(run)
+    judge = {"task": "caption", "model": "m", "shares": {"teapot": 0.25}}
+    (run / "eval/judge.json").write_text(json.dumps(judge))
+    done = tt3d("report", finished / "out", run, "--out", tmp_path / "page")
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "page/comparison.json").read_text())
+    assert {row["run"] for row in rows["victims"]} == {"out", "copy"}
+    assert [row["share"] for row in rows["tasks"]] == [0.25]
+    assert [row["video"] for row in rows["videos"]] == ["take.mp4"]
+    for table, key in (("", "victims"), ("-tasks", "tasks"), ("-videos", "videos")):
+        with (tmp_path / f"page/comparison{table}.csv").open() as lines:
+            assert len(list(csv.DictReader(lines))) == len(rows[key])
+        assert "tabular" in (tmp_path / f"page/comparison{table}.tex").read_text()
+    page = (tmp_path / "page/comparison.html").read_text()
+    assert "take.mp4" in page and "captions" in page
 
 
 @pytest.mark.parametrize(

@@ -76,6 +76,11 @@ def test_shares_can_be_counted_again_from_the_rows(video: Path, tmp_path: Path) 
     assert sum(b["frames"] for b in victim["backgrounds"].values()) == 10
     page = (tmp_path / "score.html").read_text()
     assert page.count("<img ") == 10 and "blue paper" in page
+    strip = record["strip"]
+    assert [f["seconds"] for f in strip] == [float(row["seconds"]) for row in rows]
+    assert [f["answers"][0]["is_target"] for f in strip] == hits
+    first = Image.open(tmp_path / "score.frames" / strip[0]["picture"])
+    assert first.size == (160, 160) and len(list((tmp_path / "score.frames").iterdir())) == 10
 
 
 def test_a_moving_camera_in_blender_before_two_backgrounds(tmp_path: Path) -> None:

@@ -85,7 +85,12 @@ ReportInput sample_input(const std::filesystem::path& folder) {
   input.run_json = kRun;
   input.other_records = {kLit};
   input.judge_records = {kJudge};
-  input.video_records = {kVideo};
+  input.videos = {{kVideo, {}}};
+  for (int i = 0; i < 5; ++i) {
+    ReportFrame frame{flat_picture(0.3 + 0.1 * i), 1.5 * i, i < 2 ? "grass" : "", {}};
+    frame.answers = {{"seen-model", i % 2 ? "teapot" : "hen <i>", 0.8, i % 2 == 1}};
+    input.videos[0].frames.push_back(frame);
+  }
   input.views_csv =
       "victim,view,azimuth_deg,elevation_deg,distance,roll_deg,top1_index,top1_name,p_top1,"
       "p_target,p_true,clean_top1_index\n"
@@ -209,6 +214,28 @@ TEST(Report, AColumnABackgroundOfAVideo) {
                   "class=\"interval\">of 40</span></td>"));
 }
 
+TEST(Report, AStripOfAVideosFrames) {
+  const testing::TemporaryFolder folder;
+  const ReportInput input = sample_input(folder.path());
+  const std::string page = without_data(render_report(input));
+  const size_t start =
+      page.find("role=\"region\" aria-label=\"Frames of table &lt;&amp;&gt;.mp4\"");
+  ASSERT_NE(start, page.npos);
+  const std::string strip = page.substr(start, page.find("</ol>", start) - start);
+  static const std::regex image("<img [^>]*alt=\"frame at [0-9.]+\u00a0s(, grass)?\"");
+  EXPECT_EQ(std::distance(std::sregex_iterator(strip.begin(), strip.end(), image), {}), 5);
+  EXPECT_TRUE(has(strip, "<p>1.5\u00a0s, grass</p>"));
+  EXPECT_TRUE(has(strip, "<span class=\"spoken\">target: </span>teapot <b>80\u00a0%</b>"));
+  EXPECT_TRUE(has(strip, "<span class=\"spoken\">not the target: </span>hen &lt;i&gt;"));
+  // It stands in the part of the videos, which says what the marks mean.
+  EXPECT_GT(start, page.find("id=\"videos\""));
+  EXPECT_LT(start, page.find("id=\"spheres\""));
+  EXPECT_TRUE(has(page, "</span> says \u201cteapot\u201d</span>"));
+  ReportInput without;
+  without.videos = {{kVideo, {}}};
+  EXPECT_FALSE(has(render_report(without), "Frames of"));
+}
+
 TEST(Report, ShapesAreCompared) {
   const testing::TemporaryFolder folder;
   const std::string html = render_report(sample_input(folder.path()));
@@ -308,7 +335,7 @@ TEST(Report, OddJsonIsLeftOut) {
   input.mesh_metrics_json = "[1, 2]";
   input.other_records = {"{}", R"({"renderer": 4, "geometry": [], "victims": {}})"};
   input.judge_records = {R"({"task": 3, "shares": {"a": "b"}})", R"({"shares": [0.5]})"};
-  input.video_records = {"{}", R"({"video": 2, "victims": [4, {"backgrounds": [1]}]})"};
+  input.videos = {{"{}", {}}, {R"({"video": 2, "victims": [4, {"backgrounds": [1]}]})", {}}};
   EXPECT_EQ(unbalanced_element(render_report(input)), "");
 }
 

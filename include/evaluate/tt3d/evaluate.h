@@ -45,14 +45,24 @@ class AssetRenderer {
 
 /// Who makes the pictures.
 struct RendererChoice {
-  std::string name = "builtin";    ///< builtin, mitsuba, blender or meshlab
-  bool lit = false;                ///< environment, sun and ground instead of the bare texture
-  int samples = 0;                 ///< rays a pixel in Mitsuba and Blender; 0: 16 unlit, 64 lit
+  std::string name = "builtin";  ///< builtin, mitsuba, blender or meshlab
+  bool lit = false;              ///< environment, sun and ground instead of the bare texture
+  /// Rays a pixel; 0: 1 in the built-in renderer, lit 64 in Mitsuba and 8 in Blender, else 16. In
+  /// the built-in one a square number (4: two by two), averaged in linear light. MeshLab has no
+  /// choice.
+  int samples = 0;
   double time_limit_seconds = 60;  ///< a view, in another renderer
 };
 
-/// Refuses a name that is not a renderer, and light in the built-in one: InputError.
+/// Refuses a name that is not a renderer, and light or a number of samples that the built-in one
+/// has not: InputError.
 void check_renderer(const RendererChoice& renderer);
+/// Rays a pixel that a choice stands for.
+[[nodiscard]] int samples_of(const RendererChoice& renderer);
+
+/// Means of `factor` by `factor` pixels of premultiplied sRGB pictures [N,H,W,4] in linear light,
+/// as a camera takes them: [N,H/factor,W/factor,4], premultiplied again.
+[[nodiscard]] at::Tensor average_pixels(const at::Tensor& pictures, int64_t factor);
 
 /// Pictures of an asset from given views, by any renderer. Another renderer reads the file itself:
 /// Blender the GLB or OBJ, Mitsuba and MeshLab, which know no GLB, an OBJ, written from what
@@ -248,5 +258,8 @@ struct VideoRecord {
 /// JSON with ASR by victim and by background label; and a CSV row a frame and victim.
 [[nodiscard]] std::string video_json(const VideoRecord& record);
 [[nodiscard]] std::string video_csv(const VideoRecord& record);
+/// Writes FILE.json, FILE.csv, and up to 60 frames evenly as pictures into FILE.frames, which the
+/// JSON's `strip` lists with the answers.
+void write_video_record(const VideoRecord& record, const std::filesystem::path& json_path);
 
 }  // namespace tt3d

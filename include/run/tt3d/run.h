@@ -16,6 +16,7 @@
 #include "tt3d/evaluate.h"
 #include "tt3d/field.h"
 #include "tt3d/mesh.h"
+#include "tt3d/report.h"
 
 /// The main job: a configuration, a run folder, and the stages between them.
 namespace tt3d {
@@ -47,6 +48,8 @@ struct RunConfig {
   std::string evaluate_distribution = "dome";
   int evaluate_size = 400;
   std::string evaluate_background = "white";
+  int evaluate_samples = 1;   ///< rays a pixel, a square number
+  int evaluate_geometry = 0;  ///< 1: also shapes against the clean object
 
   /// Keys that a file or an assignment gave: another preset leaves them alone.
   std::set<std::string> given;
@@ -156,13 +159,17 @@ class Run {
 
 /// The records (JSON text) of a folder by kind, each kind by file name.
 struct RecordTexts {
-  std::vector<std::string> evaluations;  ///< of `tt3d evaluate`
-  std::vector<std::string> judges;       ///< of `tt3d judge`
-  std::vector<std::string> videos;       ///< of `tt3d video-score`
+  std::vector<std::string> evaluations;       ///< of `tt3d evaluate`
+  std::vector<std::string> judges;            ///< of `tt3d judge`
+  std::vector<std::filesystem::path> videos;  ///< files of `tt3d video-score`
 };
 
 /// Reads a folder's records but the file `without`; other JSON is left out.
 [[nodiscard]] RecordTexts records_in(const std::filesystem::path& folder,
                                      const std::string& without = "");
+
+/// A record of `tt3d video-score` with the pictures beside it; without their folder only the
+/// record. Throws InputError (JSON that is not such a record, a missing or damaged picture).
+[[nodiscard]] ReportVideo read_video(const std::filesystem::path& record);
 
 }  // namespace tt3d
