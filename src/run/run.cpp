@@ -191,11 +191,6 @@ void Run::forget(const std::string& stage) {
 }
 
 void Run::run_until(const std::string& last, Progress& progress) {
-  if (last == "report" && !config_.asset.empty()) {
-    throw InputError(folder_,
-                     "begins with an asset, and a report needs a capture's photographs; "
-                     "stop at 'tt3d bake' and use 'tt3d evaluate'");
-  }
   for (const std::string& name : stage_names()) {
     const bool needless = name == "field" && !config_.asset.empty();
     if (!done(name) && !needless) {
