@@ -26,12 +26,15 @@ void print_summary(const Run& run, const Common& common) {
     std::cout << record;
     return;
   }
-  const json field = json::parse(read_file(run.folder() / "field" / "metrics.json"));
   const json mesh = json::parse(read_file(run.folder() / "mesh" / "metrics.json"));
   print_record(record);
-  std::cout << fmt::format("field PSNR {:.2f} dB, baked mesh PSNR {:.2f} dB, {} faces, {}\n",
-                           field["psnr_test"].get<double>(), mesh["psnr_test_baked"].get<double>(),
-                           mesh["faces"].get<int64_t>(),
+  if (run.config().asset.empty()) {
+    const json field = json::parse(read_file(run.folder() / "field" / "metrics.json"));
+    std::cout << fmt::format("field PSNR {:.2f} dB, baked mesh PSNR {:.2f} dB, ",
+                             field["psnr_test"].get<double>(),
+                             mesh["psnr_test_baked"].get<double>());
+  }
+  std::cout << fmt::format("{} faces, {}\n", mesh["faces"].get<int64_t>(),
                            mesh["closed"].get<bool>() ? "closed and manifold" : "not closed");
   double seconds = 0;
   int64_t peak = 0;

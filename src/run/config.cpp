@@ -151,8 +151,8 @@ RunConfig load_config(const std::filesystem::path& path) {
     });
   });
   const auto beside = std::filesystem::absolute(path).parent_path();
-  for (std::filesystem::path* p :
-       {&config.capture.path, &config.attack.eot.photographs, &config.attack.printer_colors}) {
+  for (std::filesystem::path* p : {&config.asset, &config.capture.path, &config.attack.sticker_mask,
+                                   &config.attack.eot.photographs, &config.attack.printer_colors}) {
     if (!p->empty() && p->is_relative()) *p = std::filesystem::weakly_canonical(beside / *p);
   }
   const bool folder =

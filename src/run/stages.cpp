@@ -465,10 +465,10 @@ void Run::run_report(Progress& progress) {
   input.config_toml = config_toml(config_);
   save();  // stages so far
   input.run_json = read_file(folder_ / "run.json");
-  if (config_.asset.empty()) {  // else nothing was reconstructed
+  if (config_.asset.empty()) {  // else there is no field
     input.field_metrics_json = read_file(folder_ / "field" / "metrics.json");
-    input.mesh_metrics_json = read_file(folder_ / "mesh" / "metrics.json");
   }
+  input.mesh_metrics_json = read_file(folder_ / "mesh" / "metrics.json");
   constexpr int64_t kSheet = 12;
   input.views =
       report_views(folder_, record, std::min(kSheet, record["views"]["count"].get<int64_t>()));

@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -158,7 +159,10 @@ def test_report_shows_a_videos_frames(finished: Path, tmp_path: Path) -> None:
     run = tmp_path / "copy"
     shutil.copytree(finished / "out", run)
     record = add_video(run)
-    assert tt3d("report", run).returncode == 0
+    one_line(tt3d("report", run), 2, "evaluate.victims")
+    done = tt3d("report", run, "--set", f'evaluate.victims=["{MODEL}"]', "--set",
+                "evaluate.views=4", "--set", 'evaluate.true_class="cup"')  # fmt: skip
+    assert done.returncode == 0, done.stderr
     page = (run / "report.html").read_text()
     assert 'aria-label="Frames of take.mp4"' in page and 'alt="frame at 1.5' in page
     # A name that leads out of the folder leads nowhere.
@@ -170,7 +174,10 @@ def test_report_shows_a_videos_frames(finished: Path, tmp_path: Path) -> None:
     one_line(tt3d("report", run), 2, "take.json")
     # Without the pictures the shares are left.
     shutil.rmtree(run / "eval/take.frames")
-    assert tt3d("report", run).returncode == 0
+    one_line(tt3d("report", run), 2, "evaluate.victims")
+    done = tt3d("report", run, "--set", f'evaluate.victims=["{MODEL}"]', "--set",
+                "evaluate.views=4", "--set", 'evaluate.true_class="cup"')  # fmt: skip
+    assert done.returncode == 0, done.stderr
     page = (run / "report.html").read_text()
     assert "Frames of" not in page and "Video take.mp4" in page
 
@@ -387,9 +394,26 @@ def test_an_asset_takes_the_place_of_a_capture(finished: Path, tmp_path: Path, m
     # In the asset's own coordinates; three steps hardly move a vertex.
     before, after = span(finished / "out/asset/clean.obj"), span(run / "asset/adversarial.obj")
     assert after == pytest.approx(before, abs=0.02)
-    one_line(tt3d("report", run), 2, "capture")
+    one_line(tt3d("report", run), 2, "evaluate.victims")
+    done = tt3d("report", run, "--set", f'evaluate.victims=["{MODEL}"]', "--set",
+                "evaluate.views=4", "--set", 'evaluate.true_class="cup"')  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    page = (run / "report.html").read_text()
+    assert "taken for" in page and "Field, test views" not in page
     shutil.copy(asset, tmp_path / "other.glb")
     one_line(tt3d(*attack, "--asset", tmp_path / "other.glb"), 2, "another object")
+
+
+def test_a_configuration_may_begin_with_an_asset(finished: Path, tmp_path: Path) -> None:
+    shutil.copy(finished / "out/asset/clean.glb", tmp_path / "thing.glb")
+    config = re.sub(r"\[capture\][^\[]*", '[asset]\npath = "thing.glb"\n',
+                    (finished / "small.toml").read_text())  # fmt: skip
+    (tmp_path / "asset.toml").write_text(config)
+    done = tt3d("run", tmp_path / "asset.toml", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    stages = json.loads((tmp_path / "out/run.json").read_text())["stages"]
+    assert [s["name"] for s in stages] == ["mesh", "attack", "bake", "evaluate", "report"]
+    assert (tmp_path / "out/report.html").is_file()
 
 
 def test_one_tile_for_two_objects(finished: Path, tmp_path: Path) -> None:
