@@ -15,6 +15,8 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.axis import Axis
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build/release/bench"
@@ -53,6 +55,15 @@ def batch_times(threads: int) -> tuple[list[int], list[float]]:
     return list(BATCHES), times
 
 
+def plain_ticks(axis: Axis) -> None:
+    """Label a logarithmic axis in plain numbers: 1, 2, 5, 10 and so on; 1, 10 if it is long."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 500 * low else (1,), numticks=9))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x / 1e6:g}M" if x >= 1e6 else (
+        f"{x / 1e3:g}k" if x >= 1e3 else f"{x:g}")))  # fmt: skip
+    axis.set_minor_locator(NullLocator())
+
+
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -68,6 +79,8 @@ def main() -> None:
     axes[3].set(xlabel="pictures", title="EfficientNet-Lite0,\nforward and backward")
     for axis in axes:
         axis.grid(alpha=0.3)
+        plain_ticks(axis.xaxis)
+        plain_ticks(axis.yaxis)
     axes[0].set_ylabel("milliseconds")
     axes[0].legend()
     figure.savefig(PICTURE, dpi=80)
