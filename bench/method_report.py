@@ -190,7 +190,8 @@ def curves_plot(results: Results) -> str:
         objective = np.array([float(r["objective"]) for r in csv.DictReader(text.splitlines())])
         width = max(1, len(objective) // 10)
         smooth = np.convolve(objective, np.ones(width) / width, mode="valid")
-        axis.plot(np.arange(len(smooth)) + width, smooth, label=f"{cell.obj}, {len(objective)} steps")
+        label = f"{cell.obj}, {len(objective)} steps"
+        axis.plot(np.arange(len(smooth)) + width, smooth, label=label)
     axis.set(xlabel="step", ylabel="objective (negative logit)")
     axis.legend(fontsize=7)
     return _save(figure, "results-curves.png")
