@@ -238,6 +238,21 @@ def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
     return "\n".join([*parts, "## Not run\n", _missing(missing)])
 
 
+def _sections(page: str) -> dict[str, str]:
+    """Split a page at its headings of the second level; what comes first has the key ""."""
+    first, *others = page.split("\n## ")
+    return {"": first} | {text.split("\n")[0]: text for text in others}
+
+
+def renewed(page: str, part: str) -> str:
+    """Return `page` with the sections that `part` has, a page of some tables alone."""
+    old, new = _sections(page), _sections(part)
+    for heading, text in new.items():
+        if heading not in ("", "Not run"):  # these speak of the whole plan
+            old[heading] = text.rstrip("\n") + "\n"
+    return "\n## ".join(old.values())
+
+
 INTRODUCTION = """# Results
 
 Written by `scripts/method-table`; run it again to go on or after a change. Every attack shows

@@ -1,11 +1,12 @@
 """The attacks of the literature at equal budgets: runs what is missing, writes docs/results.md.
 
-    scripts/method-table [--presets NAME...] [--objects NAME...] [--budget PASSES] [--out FOLDER]
-                         [--limit SECONDS] [--report-only]
+    scripts/method-table [--presets NAME...] [--objects NAME...] [--tables NAME...]
+                         [--budget PASSES] [--out FOLDER] [--limit SECONDS] [--report-only]
 
 Each attack asks its surrogates equally often, all together; several twice as often as one. Objects
 are reconstructed once and shared. A finished attack is read, not run again, and an interrupted one
-goes on; the page is written from what there is and says what is missing.
+goes on; the page is written from what there is and says what is missing. With --tables, only these
+sections of the page are renewed: after a change of one preset, the others' attacks still stand.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from method_plan import (
     OBJECTS,
     OTHERS,
     ROOT,
+    TABLES,
     VICTIMS,
     Cell,
     plan,
@@ -89,6 +91,8 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--presets", nargs="+", default=METHODS + OTHERS, metavar="NAME")
     parser.add_argument("--objects", nargs="+", default=tuple(OBJECTS), choices=OBJECTS)
+    parser.add_argument("--tables", nargs="+", default=TABLES, choices=TABLES, metavar="NAME",
+                        help="run and renew these alone: " + ", ".join(TABLES))  # fmt: skip
     parser.add_argument("--budget", type=int, default=1200,
                         help="pictures that a surrogate sees in an attack")  # fmt: skip
     parser.add_argument("--out", type=Path, default=ROOT / "runs/table")
@@ -106,7 +110,8 @@ def parse_arguments() -> argparse.Namespace:
 def main() -> None:
     """Run the command line."""
     options = parse_arguments()
-    cells = plan(tuple(options.presets), tuple(options.objects))
+    whole = plan(tuple(options.presets), tuple(options.objects))
+    cells = [cell for cell in whole if cell.table in options.tables]
     table = Table(options.out.absolute(), options.program.absolute(), options.budget)
     end = time.monotonic() + options.limit
     for number, cell in enumerate(cells):
@@ -120,7 +125,10 @@ def main() -> None:
         print(f"  {time.monotonic() - start:.0f} s", flush=True)
     done = {cell: table.folder(cell) for cell in cells if table.finished(cell)}
     missing = [cell for cell in cells if cell not in done]
-    options.page.write_text(method_report.page(done, missing, options.budget), encoding="utf-8")
+    page = method_report.page(done, missing, options.budget)
+    if len(cells) < len(whole) and options.page.is_file():
+        page = method_report.renewed(options.page.read_text(encoding="utf-8"), page)
+    options.page.write_text(page, encoding="utf-8")
     print(f"{len(done)} of {len(cells)} attacks: {options.page}")
 
 

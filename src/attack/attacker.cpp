@@ -113,12 +113,18 @@ AttackCurvePoint Attacker::compute_own(const AttackState& s, std::vector<Tensor>
   const Rendering shown = render(s, vertices);
   std::vector<Tensor> hits;
   const Tensor lit = light_pictures(shown.pictures, shown.normals, options_.eot, seed_, s.step);
-  const Tensor objective = ensemble_.loss(lit, s.step, hits);
+  const Tensor objective = ensemble_.loss(lit, competitors(shown), s.step, hits);
   const Naturalness::Terms natural = naturalness_.terms(shown, vertices);
   const Tensor loss = objective + options_.beta * natural.total;
   grads = torch::autograd::grad({loss}, parameters);
   return curve_point(
       s.step, {loss, objective, shown.rgb, natural.chamfer, natural.laplacian, natural.edge}, hits);
+}
+
+/// What attack.feature_mix sets against the pictures: the clean object in the same views.
+Tensor Attacker::competitors(const Rendering& shown) const {
+  if (options_.feature_mix <= 0) return {};
+  return at::cat({shown.clean, shown.pictures.narrow(1, 3, 1)}, 1).detach();
 }
 
 void Attacker::apply(const std::vector<Tensor>& grads, AttackState& s) const {
@@ -175,7 +181,8 @@ double Attacker::held_out_success(const AttackState& s) const {
 /// normals, as channels of one picture.
 Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
   const auto pixels = static_cast<double>(3 * views_ * options_.image_size * options_.image_size);
-  const bool with_clean = naturalness_.compares_pictures(), with_normals = options_.eot.light > 0;
+  const bool with_clean = naturalness_.compares_pictures() || options_.feature_mix > 0;
+  const bool with_normals = options_.eot.light > 0;
   Rendering shown;
   // The appearance sticks to the surface: points are looked up where they rest.
   const Tensor rendered = render_mesh(

@@ -39,6 +39,7 @@ class Attacker {
   /// The state of this object in the other one's attack: its look, and the shape as it is.
   [[nodiscard]] AttackState wearing(const AttackState& state) const;
   [[nodiscard]] std::vector<Camera> cameras(int64_t step) const;
+  [[nodiscard]] at::Tensor competitors(const Rendering& shown) const;
   [[nodiscard]] Rendering render(const AttackState& state, const at::Tensor& vertices) const;
 
   const AttackInput& input_;

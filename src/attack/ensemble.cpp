@@ -55,15 +55,18 @@ Ensemble::Ensemble(const AttackInput& input, const AttackOptions& options, uint6
   }
 }
 
-Tensor Ensemble::loss(const Tensor& pictures, int64_t step, std::vector<Tensor>& hits) const {
-  if (options_.ensemble == "views") return loss_of_shared_views(pictures, step, hits);
+Tensor Ensemble::loss(const Tensor& pictures, const Tensor& clean, int64_t step,
+                      std::vector<Tensor>& hits) const {
+  if (options_.ensemble == "views") return loss_of_shared_views(pictures, clean, step, hits);
   const size_t models = input_.surrogates.size();
   const auto count = static_cast<int64_t>(models);
   Tensor total = at::zeros({}, pictures.options());
   if (options_.ensemble == "logits") {
     // Dong et al., "Boosting adversarial attacks with momentum", CVPR 2018, section 3.4.
-    Tensor sum = logits(0, pictures, step * count, hits);
-    for (size_t m = 1; m < models; ++m) sum = sum + logits(m, pictures, step * count, hits);
+    Tensor sum = logits(0, pictures, clean, step * count, hits);
+    for (size_t m = 1; m < models; ++m) {
+      sum = sum + logits(m, pictures, clean, step * count, hits);
+    }
     return objective(sum / static_cast<double>(models), 0);
   }
   const bool of_gradients = options_.ensemble == "gradients";
@@ -71,12 +74,12 @@ Tensor Ensemble::loss(const Tensor& pictures, int64_t step, std::vector<Tensor>&
   for (size_t m = 0; m < models; ++m) {
     const Tensor own = of_gradients ? with_gradient_of_length(pictures, share) : pictures;
     const int64_t draw = step * count + static_cast<int64_t>(m);
-    total = total + objective(logits(m, own, draw, hits), m);
+    total = total + objective(logits(m, own, clean, draw, hits), m);
   }
   return total / static_cast<double>(models);
 }
 
-Tensor Ensemble::loss_of_shared_views(const Tensor& pictures, int64_t step,
+Tensor Ensemble::loss_of_shared_views(const Tensor& pictures, const Tensor& clean, int64_t step,
                                       std::vector<Tensor>& hits) const {
   const auto models = static_cast<int64_t>(input_.surrogates.size());
   const int64_t views = pictures.size(0);
@@ -84,19 +87,34 @@ Tensor Ensemble::loss_of_shared_views(const Tensor& pictures, int64_t step,
   for (int64_t view = 0; view < std::min(models, views); ++view) {
     // Counted over all steps: with fewer views than models, each still has its turn.
     const int64_t m = (step * views + view) % models;
-    const Tensor own = pictures.slice(0, view, views, models);
-    const Tensor answer = logits(static_cast<size_t>(m), own, step * models + m, hits);
+    const auto share = [&](const Tensor& t) { return t.slice(0, view, views, models); };
+    const Tensor own = share(pictures);
+    const Tensor answer = logits(static_cast<size_t>(m), own,
+                                 clean.defined() ? share(clean) : clean, step * models + m, hits);
     total = total + objective(answer, static_cast<size_t>(m)) * static_cast<double>(own.size(0));
   }
   return total / static_cast<double>(views);
 }
 
-Tensor Ensemble::logits(size_t model, const Tensor& pictures, int64_t draw,
+Tensor Ensemble::transformed(size_t model, const Tensor& pictures, uint64_t seed,
+                             int64_t draw) const {
+  return transform_images(pictures, input_.surrogates[model]->card().height, options_.eot, seed,
+                          draw, photographs_ ? &*photographs_ : nullptr);
+}
+
+Tensor Ensemble::logits(size_t model, const Tensor& pictures, const Tensor& clean, int64_t draw,
                         std::vector<Tensor>& hits) const {
   const Classifier& surrogate = *input_.surrogates[model];
-  const Tensor seen = transform_images(pictures, surrogate.card().height, options_.eot, seed_, draw,
-                                       photographs_ ? &*photographs_ : nullptr);
-  const Tensor answer = surrogate.logits(seen);
+  const Tensor seen = transformed(model, pictures, seed_, draw);
+  Tensor answer;
+  if (options_.feature_mix > 0) {
+    const Tensor competitor = transformed(model, clean, seed_ ^ hash_name("attack/clean"), draw);
+    answer =
+        surrogate.mixed_logits(seen, {competitor, options_.feature_mix, options_.feature_mix_share,
+                                      seed_, static_cast<uint64_t>(draw)});
+  } else {
+    answer = surrogate.logits(seen);
+  }
   hits.push_back(won(model, answer));
   return answer;
 }

@@ -15,9 +15,10 @@ class Ensemble {
  public:
   /// Throws InputError where surrogates do not fit together, or the photographs are missing.
   Ensemble(const AttackInput& input, const AttackOptions& options, uint64_t seed);
-  /// pictures [N,4,H,W], premultiplied. `hits` receives the share of pictures for which the
+  /// pictures [N,4,H,W], premultiplied; `clean`: the clean object in the same views, for
+  /// attack.feature_mix, else undefined. `hits` receives the share of pictures for which the
   /// attack has its way, of each surrogate that was asked.
-  [[nodiscard]] at::Tensor loss(const at::Tensor& pictures, int64_t step,
+  [[nodiscard]] at::Tensor loss(const at::Tensor& pictures, const at::Tensor& clean, int64_t step,
                                 std::vector<at::Tensor>& hits) const;
 
   /// Mean over surrogates of the share of pictures [N,3,h,w], as they are preprocessed by their
@@ -27,11 +28,13 @@ class Ensemble {
  private:
   /// The step's views dealt out to the surrogates in turn: the mean of losses in expectation, at
   /// the price of one surrogate.
-  [[nodiscard]] at::Tensor loss_of_shared_views(const at::Tensor& pictures, int64_t step,
-                                                std::vector<at::Tensor>& hits) const;
+  [[nodiscard]] at::Tensor loss_of_shared_views(const at::Tensor& pictures, const at::Tensor& clean,
+                                                int64_t step, std::vector<at::Tensor>& hits) const;
   [[nodiscard]] at::Tensor won(size_t model, const at::Tensor& logits) const;
-  [[nodiscard]] at::Tensor logits(size_t model, const at::Tensor& pictures, int64_t draw,
-                                  std::vector<at::Tensor>& hits) const;
+  [[nodiscard]] at::Tensor logits(size_t model, const at::Tensor& pictures, const at::Tensor& clean,
+                                  int64_t draw, std::vector<at::Tensor>& hits) const;
+  [[nodiscard]] at::Tensor transformed(size_t model, const at::Tensor& pictures, uint64_t seed,
+                                       int64_t draw) const;
   [[nodiscard]] at::Tensor objective(const at::Tensor& logits, size_t model) const;
 
   const AttackInput& input_;

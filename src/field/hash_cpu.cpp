@@ -31,12 +31,12 @@ TT3D_HD void add_cell(const uint32_t cell[3], const T* sums, T* grad_table,
   }
 }
 
-/// Neighbouring points often lie in one cell (pixels of a surface, samples of a ray): its sums stay
-/// in registers until a point leaves it.
-template <typename T, int F, bool kDense>
-TT3D_HD void scatter_level(const T* __restrict points, const T* __restrict grad_out,
-                           T* __restrict grad_table, int64_t count, HashLevel level) {
-  level.dense = kDense;
+/// Where cells are coarse, neighbouring points (pixels of a surface, samples of a ray) lie in one:
+/// its sums stay in registers until a point leaves it.
+template <typename T, int F>
+TT3D_HD void scatter_runs(const T* __restrict points, const T* __restrict grad_out,
+                          T* __restrict grad_table, int64_t count, HashLevel level) {
+  level.dense = true;
   uint32_t held[3] = {};
   T sums[8 * F] = {};
   for (int64_t i = 0; i < count; ++i) {
@@ -57,6 +57,39 @@ TT3D_HD void scatter_level(const T* __restrict points, const T* __restrict grad_
     }
   }
   add_cell<T, F>(held, sums, grad_table, level);
+}
+
+/// Where they are fine, each point has its own. Entries and weights of a block are found first, in
+/// vectors: then no addition waits for an address, and the memory is asked for many at a time.
+template <typename T, int F>
+TT3D_HD void scatter_blocks(const T* __restrict points, const T* __restrict grad_out,
+                            T* __restrict grad_table, int64_t count, HashLevel level) {
+  typedef T Numbers __attribute__((vector_size(sizeof(T) * F), aligned(sizeof(T)), may_alias));
+  constexpr int64_t kBlock = 64;
+  level.dense = false;
+  uint32_t entry[8][kBlock];
+  T weight[8][kBlock];
+  for (int64_t begin = 0; begin < count; begin += kBlock) {
+    const int64_t size = std::min(kBlock, count - begin);
+#pragma GCC ivdep
+    for (int64_t i = 0; i < size; ++i) {
+      uint32_t cell[3];
+      T fraction[3];
+      for (int k = 0; k < 3; ++k) locate(points[3 * (begin + i) + k], level, cell[k], fraction[k]);
+      for (int k = 0; k < 8; ++k) {
+        entry[k][i] = corner_entry(k, cell, level);
+        weight[k][i] = corner_weight(k, fraction);
+      }
+    }
+    for (int64_t i = 0; i < size; ++i) {
+      Numbers g;
+      for (int f = 0; f < F; ++f) g[f] = grad_out[f * count + begin + i];
+      for (int k = 0; k < 8; ++k) {
+        auto* numbers = reinterpret_cast<Numbers*>(grad_table);
+        numbers[static_cast<int32_t>(entry[k][i])] += weight[k][i] * g;
+      }
+    }
+  }
 }
 
 /// Adds the level's part of the gradient with respect to the points to total [3,kSlopeChunk].
@@ -94,9 +127,9 @@ TT3D_HD void encode_level(const T* points, const T* table, T* out, int64_t begin
   TT3D_CPU_LOOP void scatter_##T##F(const T* points, const T* grad_out, T* grad_table,          \
                                     int64_t count, const HashLevel& level) {                    \
     if (level.dense)                                                                            \
-      scatter_level<T, F, true>(points, grad_out, grad_table, count, level);                    \
+      scatter_runs<T, F>(points, grad_out, grad_table, count, level);                           \
     else                                                                                        \
-      scatter_level<T, F, false>(points, grad_out, grad_table, count, level);                   \
+      scatter_blocks<T, F>(points, grad_out, grad_table, count, level);                         \
   }                                                                                             \
   TT3D_CPU_LOOP void slope_##T##F(const T* points, const T* table, const T* grad_out, T* total, \
                                   int64_t begin, int64_t end, int64_t count,                    \

@@ -8,6 +8,7 @@
 #include <limits>
 #include <new>
 
+#include "feature_mixer.h"
 #include "malformed.h"
 #include "precision.h"
 #include "program.h"
@@ -18,26 +19,32 @@ namespace {
 using torch::autograd::AutogradContext;
 using torch::autograd::variable_list;
 
-/// Keeps a runner alive until backward is done.
-struct RunnerHolder : torch::CustomClassHolder {
-  explicit RunnerHolder(std::shared_ptr<BatchRunner> held) : runner(std::move(held)) {}
+/// What backward needs beside the images.
+struct HeldRun : torch::CustomClassHolder {
+  HeldRun(std::shared_ptr<BatchRunner> held, Pictures shown)
+      : runner(std::move(held)), pictures(std::move(shown)) {
+    pictures.images.reset();  // autograd keeps them
+  }
   std::shared_ptr<BatchRunner> runner;
+  Pictures pictures;
 };
 
 /// The logits of a batch whose intermediate results do not fit together: nothing is kept but the
 /// images, and backward runs forward again, a part at a time.
 struct LogitsInParts : torch::autograd::Function<LogitsInParts> {
   static at::Tensor forward(AutogradContext* context, const at::Tensor& images,
-                            std::shared_ptr<BatchRunner> runner) {
+                            std::shared_ptr<BatchRunner> runner, const Pictures& pictures) {
     context->save_for_backward({images});
-    context->saved_data["runner"] =
-        c10::IValue::make_capsule(c10::make_intrusive<RunnerHolder>(runner));
-    return runner->logits(images);
+    context->saved_data["run"] =
+        c10::IValue::make_capsule(c10::make_intrusive<HeldRun>(runner, pictures));
+    return runner->logits(pictures);
   }
   static variable_list backward(AutogradContext* context, const variable_list& gradients) {
-    const auto holder = context->saved_data["runner"].toCapsule();
-    BatchRunner& runner = *static_cast<RunnerHolder&>(*holder).runner;
-    return {runner.gradient(context->get_saved_variables()[0], gradients[0]), at::Tensor()};
+    const auto holder = context->saved_data["run"].toCapsule();
+    const auto& held = static_cast<HeldRun&>(*holder);
+    Pictures pictures = held.pictures;
+    pictures.images = context->get_saved_variables()[0];
+    return {held.runner->gradient(pictures, gradients[0]), at::Tensor(), at::Tensor()};
   }
 };
 
@@ -50,47 +57,48 @@ BatchRunner::BatchRunner(Graph graph, int64_t intermediate_bytes, Precision prec
       fitting_(graph_.max_batch),
       fitting_with_gradient_(std::numeric_limits<int64_t>::max()) {}
 
-at::Tensor BatchRunner::logits(const at::Tensor& images) {
-  const int64_t total = images.size(0);
-  if (at::GradMode::is_enabled() && images.requires_grad()) {
+at::Tensor BatchRunner::logits(const Pictures& pictures) {
+  const int64_t total = pictures.images.size(0);
+  if (at::GradMode::is_enabled() && pictures.images.requires_grad()) {
     if (total <= fitting_with_gradient_) {
       try {
-        return whole(images);
+        return whole(pictures);
       } catch (const MemoryLimit&) {
         fitting_with_gradient_ = std::max<int64_t>(total / 2, 1);
       }
     }
-    return LogitsInParts::apply(images, shared_from_this());
+    return LogitsInParts::apply(pictures.images, shared_from_this(), pictures);
   }
   return in_parts(total, fitting_, [&](int64_t start, int64_t end) {
     MemoryMeter meter(memory_budget(limit_), false);
-    return padded(images.slice(0, start, end), meter);
+    return run(pictures.slice(start, end), meter);
   });
 }
 
 /// With gradients: everything that the batch needs for backward is kept.
-at::Tensor BatchRunner::whole(const at::Tensor& images) {
+at::Tensor BatchRunner::whole(const Pictures& pictures) {
   MemoryMeter meter(memory_budget(limit_), true);
-  const int64_t total = images.size(0);
-  if (total <= graph_.max_batch) return padded(images, meter);
+  const int64_t total = pictures.images.size(0);
+  if (total <= graph_.max_batch) return run(pictures, meter);
   std::vector<at::Tensor> parts;
   for (int64_t start = 0; start < total; start += graph_.max_batch) {
     const int64_t end = std::min(total, start + graph_.max_batch);
-    parts.push_back(padded(images.slice(0, start, end), meter));
+    parts.push_back(run(pictures.slice(start, end), meter));
   }
   return at::cat(parts, 0);
 }
 
-at::Tensor BatchRunner::gradient(const at::Tensor& images, const at::Tensor& gradient) {
+at::Tensor BatchRunner::gradient(const Pictures& pictures, const at::Tensor& gradient) {
   const at::AutoGradMode with_gradients(true);
   int64_t fitting = std::min(fitting_with_gradient_, graph_.max_batch);
-  const at::Tensor result =
-      in_parts(images.size(0), fitting, [&](int64_t start, int64_t end) -> at::Tensor {
-        MemoryMeter meter(memory_budget(limit_), true);
-        const at::Tensor part = images.slice(0, start, end).detach().requires_grad_(true);
-        const at::Tensor logits = padded(part, meter);
-        return torch::autograd::grad({logits}, {part}, {gradient.slice(0, start, end)})[0];
-      });
+  const int64_t total = pictures.images.size(0);
+  const at::Tensor result = in_parts(total, fitting, [&](int64_t start, int64_t end) -> at::Tensor {
+    MemoryMeter meter(memory_budget(limit_), true);
+    Pictures part = pictures.slice(start, end);
+    part.images = part.images.detach().requires_grad_(true);
+    const at::Tensor logits = run(part, meter);
+    return torch::autograd::grad({logits}, {part.images}, {gradient.slice(0, start, end)})[0];
+  });
   fitting_with_gradient_ = std::min(fitting_with_gradient_, fitting);
   return result;
 }
@@ -121,23 +129,34 @@ at::Tensor BatchRunner::in_parts(int64_t total, int64_t& fitting, const Part& pa
 }
 
 /// Batches below the exported range are filled up with zeros.
-at::Tensor BatchRunner::padded(const at::Tensor& images, MemoryMeter& meter) {
-  const int64_t count = images.size(0), missing = graph_.min_batch - count;
-  if (missing <= 0) return run(images, meter);
-  const at::Tensor filler = at::zeros({missing, 3, graph_.height, graph_.width}, images.options());
-  return run(at::cat({images, filler}, 0), meter).slice(0, 0, count);
+at::Tensor BatchRunner::filled_up(const at::Tensor& images) const {
+  const int64_t missing = graph_.min_batch - images.size(0);
+  if (missing <= 0) return images;
+  return at::cat({images, at::zeros({missing, 3, graph_.height, graph_.width}, images.options())});
 }
 
-at::Tensor BatchRunner::run(const at::Tensor& images, MemoryMeter& meter) {
+at::Tensor BatchRunner::run(const Pictures& pictures, MemoryMeter& meter) {
   const AllocationLimit allocations(memory_budget(limit_));
+  const int64_t count = pictures.images.size(0);
+  const at::Tensor images = filled_up(pictures.images);
   const PrecisionScope precision(precision_, images.device());
-  at::Tensor logits = run_graph(graph_on(images.device()), images, meter);
+  const Graph& graph = graph_on(images.device());
+  std::optional<FeatureMixer> mixer;
+  if (pictures.mix) {
+    mixer.emplace(*pictures.mix, pictures.first);
+    const at::NoGradGuard none;
+    const int64_t first = pictures.first;
+    static_cast<void>(run_graph(
+        graph, filled_up(pictures.mix->images.slice(0, first, first + count)), meter, &*mixer));
+    mixer->begin_mixing();
+  }
+  at::Tensor logits = run_graph(graph, images, meter, mixer ? &*mixer : nullptr);
   if (logits.dim() == 3) logits = logits.amax(1);  // a detector: each class where it scores highest
   if (logits.dim() != 2 || logits.size(0) != images.size(0) || logits.size(1) != graph_.classes ||
       !logits.is_floating_point()) {
     throw Malformed("the graph did not give logits [N,classes]");
   }
-  return logits.to(at::kFloat);
+  return logits.to(at::kFloat).slice(0, 0, count);
 }
 
 /// The graph with its weights on `device`; the last device other than the CPU is kept.

@@ -12,29 +12,40 @@
 
 namespace tt3d::model {
 
+/// Normalised images [N,3,H,W], and what competes with them, if anything does.
+struct Pictures {
+  at::Tensor images;
+  std::optional<FeatureMix> mix = {};  ///< of the whole batch; its images are normalised, too
+  int64_t first = 0;                   ///< number of the first image in that batch
+
+  [[nodiscard]] Pictures slice(int64_t start, int64_t end) const {
+    return {images.slice(0, start, end), mix, first + start};
+  }
+};
+
 /// Runs a graph on batches of any size: fills up what is smaller than the exported range, and runs
 /// in parts what is larger, or does not fit in memory. It remembers which sizes did not fit.
 class BatchRunner : public std::enable_shared_from_this<BatchRunner> {
  public:
   BatchRunner(Graph graph, int64_t intermediate_bytes, Precision precision);
 
-  /// images [N,3,H,W] float32, normalised, N > 0, on any device; logits [N,classes] float32,
+  /// float32, N > 0, on any device; logits [N,classes] float32,
   /// differentiable where autograd is on. Throws Malformed, and ResourceError where not even one
   /// image fits.
-  [[nodiscard]] at::Tensor logits(const at::Tensor& images);
+  [[nodiscard]] at::Tensor logits(const Pictures& pictures);
   [[nodiscard]] const Graph& graph() const { return graph_; }
 
   /// The product of `gradient` [N,classes] with the derivative of the logits: [N,3,H,W]. Runs
   /// forward and backward a part at a time, so that no more than one part's results are held.
-  [[nodiscard]] at::Tensor gradient(const at::Tensor& images, const at::Tensor& gradient);
+  [[nodiscard]] at::Tensor gradient(const Pictures& pictures, const at::Tensor& gradient);
 
  private:
   using Part = std::function<at::Tensor(int64_t start, int64_t end)>;
 
-  [[nodiscard]] at::Tensor whole(const at::Tensor& images);
+  [[nodiscard]] at::Tensor whole(const Pictures& pictures);
   [[nodiscard]] at::Tensor in_parts(int64_t total, int64_t& fitting, const Part& part) const;
-  [[nodiscard]] at::Tensor padded(const at::Tensor& images, MemoryMeter& meter);
-  [[nodiscard]] at::Tensor run(const at::Tensor& images, MemoryMeter& meter);
+  [[nodiscard]] at::Tensor filled_up(const at::Tensor& images) const;
+  [[nodiscard]] at::Tensor run(const Pictures& pictures, MemoryMeter& meter);
   [[nodiscard]] const Graph& graph_on(at::Device device);
 
   Graph graph_;

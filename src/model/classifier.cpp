@@ -22,6 +22,7 @@ using model::CardFile;
 using model::Graph;
 using model::Malformed;
 using model::MappedFile;
+using model::Pictures;
 
 at::Tensor channel_tensor(const std::vector<double>& values) {
   return at::tensor(values, at::kDouble).to(at::kFloat).view({1, 3, 1, 1});
@@ -56,7 +57,7 @@ class Pt2Classifier final : public Classifier {
         mean_(channel_tensor(card().mean)),
         std_(channel_tensor(card().std)) {
     if (!options.check_probe) return;
-    probe_ = model::probe_logits(file_, [&](const at::Tensor& images) { return run(images); });
+    probe_ = model::probe_logits(file_, [&](const at::Tensor& images) { return run({images}); });
   }
 
   const ModelCard& card() const override { return file_.card; }
@@ -67,7 +68,7 @@ class Pt2Classifier final : public Classifier {
     if (!probe_.present) return;
     if (!probe_.gradients) {
       model::probe_gradients(
-          file_, [&](const at::Tensor& images) { return run(images); }, probe_);
+          file_, [&](const at::Tensor& images) { return run({images}); }, probe_);
     }
     if (!model::probe_holds(probe_, precision_)) throw_probe(path_, probe_, precision_);
   }
@@ -75,7 +76,17 @@ class Pt2Classifier final : public Classifier {
   at::Tensor logits(const at::Tensor& images) const override {
     check_images(images);
     if (images.requires_grad() && at::GradMode::is_enabled()) check_gradients();
-    return run(images);
+    return run({images});
+  }
+
+  at::Tensor mixed_logits(const at::Tensor& images, const FeatureMix& mix) const override {
+    check_images(images);
+    check_images(mix.images);
+    if (mix.images.size(0) != images.size(0)) {
+      throw InputError("FeatureMix::images: expected one for each picture");
+    }
+    if (images.requires_grad() && at::GradMode::is_enabled()) check_gradients();
+    return run({images, mix, 0});
   }
 
   std::string weights_hash() const override {
@@ -90,11 +101,16 @@ class Pt2Classifier final : public Classifier {
   }
 
  private:
-  at::Tensor run(const at::Tensor& images) const {
-    at::Tensor input = (images - mean_.to(images.device())) / std_.to(images.device());
-    if (channels_last_) input = input.contiguous(at::MemoryFormat::ChannelsLast);
+  at::Tensor normalized(const at::Tensor& images) const {
+    const at::Tensor input = (images - mean_.to(images.device())) / std_.to(images.device());
+    return channels_last_ ? input.contiguous(at::MemoryFormat::ChannelsLast) : input;
+  }
+
+  at::Tensor run(Pictures pictures) const {
+    pictures.images = normalized(pictures.images);
+    if (pictures.mix) pictures.mix->images = normalized(pictures.mix->images.detach());
     try {
-      return runner_->logits(input);
+      return runner_->logits(pictures);
     } catch (const Malformed& error) {
       throw InputError(path_, error.what());
     } catch (const ResourceError& error) {

@@ -46,16 +46,26 @@ IValue as_type(const IValue& value, ValueType type) {
   throw Malformed("a value has the wrong type");
 }
 
+bool is_convolution(const Step& step) { return step.target.starts_with("aten::conv"); }
+bool is_layer(const Step& step) { return is_convolution(step) || step.target == "aten::linear"; }
+
 /// The state of one run.
 class Run {
  public:
-  Run(const Graph& graph, const at::Tensor& images, MemoryMeter& meter)
-      : graph_(graph), device_(images.device()), values_(graph.names.size()), meter_(meter) {
+  Run(const Graph& graph, const at::Tensor& images, MemoryMeter& meter, LayerTap* tap)
+      : graph_(graph),
+        device_(images.device()),
+        values_(graph.names.size()),
+        meter_(meter),
+        tap_(tap) {
     for (const auto& [slot, tensor] : graph.constants) {
       values_[static_cast<size_t>(slot)] = tensor;
       weight_memory_.insert(tensor.storage().unsafeGetStorageImpl());
     }
     values_[static_cast<size_t>(graph.input)] = images;
+    for (const Step& step : graph.steps) {
+      if (is_layer(step)) last_layer_ = &step;
+    }
   }
 
   at::Tensor all() {
@@ -99,7 +109,14 @@ class Run {
     check_writes(step, stack);
     check_arguments(step, stack);
     step.op->callBoxed(stack);
+    if (tap_ != nullptr) tell_tap(step, stack);
     for (size_t i = 0; i < step.outputs.size(); ++i) store(step, step.outputs[i], stack.at(i));
+  }
+
+  /// The last layer gives the logits, whatever follows it.
+  void tell_tap(const Step& step, torch::jit::Stack& stack) {
+    if (!is_layer(step) || &step == last_layer_) return;
+    stack[0] = tap_->take(layer_++, stack[0].toTensor(), is_convolution(step));
   }
 
   /// The graph was checked for writes to weights; views that the schemas do not tell of show here.
@@ -196,12 +213,16 @@ class Run {
   std::vector<IValue> values_;
   std::unordered_set<const c10::StorageImpl*> weight_memory_;
   MemoryMeter& meter_;
+  LayerTap* tap_;
+  const Step* last_layer_ = nullptr;
+  int64_t layer_ = 0;
 };
 
 }  // namespace
 
-at::Tensor run_graph(const Graph& graph, const at::Tensor& images, MemoryMeter& meter) {
-  return Run(graph, images, meter).all();
+at::Tensor run_graph(const Graph& graph, const at::Tensor& images, MemoryMeter& meter,
+                     LayerTap* tap) {
+  return Run(graph, images, meter, tap).all();
 }
 
 }  // namespace tt3d::model

@@ -147,6 +147,11 @@ void Schema::attack_keys(RunConfig& c) {
   text("attack.schedule", a.schedule, schedule_names(), "the rates' way there");
   number("attack.momentum", a.momentum, 0, 1, "",
          "share of past gradients in each direction, beside Adam's; 0: none");
+  number(
+      "attack.feature_mix", a.feature_mix, 0, 1, "",
+      "share of the surrogates' layers that see some of the clean object's features, too; 0: none");
+  number("attack.feature_mix_share", a.feature_mix_share, 0, 1, "",
+         "largest share of the clean features in a channel");
   integer("attack.epoch", a.epoch, 0, 1e7, "steps",
           "steps after which held-out views are scored and the best state is kept; 0: never");
   integer("attack.held_out_views", a.held_out_views, 1, 1e5, "", "views that are scored");

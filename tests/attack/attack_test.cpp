@@ -158,6 +158,41 @@ TEST(Attack, MomentumGathersScaledGradients) {
   EXPECT_NEAR(s.velocity[0][1][0].item<double>(), count / 2, 1e-3 * count);
 }
 
+/// Remembers what competed with the pictures.
+class MixWitness : public testing::ColorClassifier {
+ public:
+  [[nodiscard]] Tensor mixed_logits(const Tensor& images, const FeatureMix& mix) const override {
+    seen = images.detach();
+    competitors = mix;
+    return logits(images);
+  }
+  mutable Tensor seen;
+  mutable FeatureMix competitors;
+};
+
+TEST(Attack, TheCleanObjectInTheSameViewsCompetes) {
+  Progress quiet;
+  AttackInput input = ball_input(0);
+  const auto witness = std::make_shared<MixWitness>();
+  input.surrogates = {witness};
+  AttackOptions o = toy_options();
+  o.eot = testing::no_transforms();
+  o.feature_mix = 0.3;
+  o.feature_mix_share = 0.6;
+  o.steps = 1;
+  testing::TemporaryFolder folder;
+  (void)run_attack(input, o, 1, folder / "one", quiet);
+  EXPECT_EQ(witness->competitors.probability, 0.3);
+  EXPECT_EQ(witness->competitors.share, 0.6);
+  EXPECT_FALSE(witness->competitors.images.requires_grad());
+  EXPECT_TRUE(at::allclose(witness->competitors.images, witness->seen));  // nothing changed yet
+  o.steps = 20;
+  (void)run_attack(input, o, 1, folder / "more", quiet);
+  const Tensor own = witness->seen.mean({0, 2, 3}),
+               other = witness->competitors.images.mean({0, 2, 3});
+  EXPECT_GT(own[0].item<float>(), other[0].item<float>() + 0.01F);  // redder than the clean ball
+}
+
 TEST(Attack, SchedulesGoFromOneToTheFinalRate) {
   AttackOptions o;
   o.final_rate = 0.2;
@@ -180,6 +215,7 @@ TEST(Attack, ResumedAfterAnyStopGivesTheSameBytes) {
     testing::TemporaryFolder folder;
     AttackOptions o = toy_options(attack_preset(preset));
     if (preset == std::string("mesh")) o.epoch = 4, o.held_out_views = 3;
+    if (preset == std::string("strong")) o.feature_mix = 0.5;
     const AttackResult whole = run_attack(input, o, 1, folder / "whole", quiet);
     Random random(7, "stops");
     for (int stops = 0; stops < 4; ++stops) {

@@ -73,7 +73,7 @@ struct Pair : ::testing::Test {
       part.classes.push_back(input.classes[m]);
     }
     std::vector<Tensor> hits;
-    const Tensor loss = Ensemble(part, options, 1).loss(pictures, 0, hits);
+    const Tensor loss = Ensemble(part, options, 1).loss(pictures, {}, 0, hits);
     EXPECT_EQ(hits.size(), models.size());
     return {value(loss), torch::autograd::grad({loss}, {pictures})[0]};
   }
@@ -127,7 +127,7 @@ TEST_F(Pair, WithFewerViewsThanSurrogatesEachHasItsTurn) {
   std::vector<double> turns;
   for (int64_t step = 0; step < 3; ++step) {
     std::vector<Tensor> hits;
-    turns.push_back(value(ensemble.loss(one, step, hits)));
+    turns.push_back(value(ensemble.loss(one, {}, step, hits)));
     EXPECT_EQ(hits.size(), 1U);
   }
   EXPECT_NE(turns[0], turns[1]);

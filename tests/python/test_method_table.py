@@ -96,3 +96,24 @@ def test_the_page_marks_what_was_attacked_and_says_what_was_not_run(
     assert "| `texture` | 1 | 25\\* | 25 | 25 | 25 | 25 | 25 | 25 (" in page
     assert "| `strong` | 75 (" in page
     assert f"{len(cells) - 2} attacks of the plan were not run" in page
+
+
+def test_some_tables_leave_the_rest_of_the_page_as_it_is(tmp_path: Path) -> None:
+    done: dict[Cell, Path] = {}
+    for cell in (plan(*ALL)[0], next(c for c in plan(*ALL) if c.table == "leave-one-out")):
+        done[cell] = tmp_path / cell.name
+        finish(done[cell], dict.fromkeys(method_report.VICTIMS, 0.25))
+    whole = method_report.page(done, [], 1200)
+    again = {c: f for c, f in done.items() if c.table == "leave-one-out"}
+    for folder in again.values():
+        record = json.loads((folder / "eval/builtin.json").read_text())
+        for victim in record["victims"]:
+            victim["asr"] = 0.5
+        (folder / "eval/builtin.json").write_text(json.dumps(record))
+    page = method_report.renewed(whole, method_report.page(again, plan(*ALL)[:3], 1200))
+    assert page.count("\n## ") == whole.count("\n## ")
+    assert "| `texture` | 1 | 25\\*" in page
+    assert "| `strong` | 50 (" in page
+    assert "| `strong` | 25 (" not in page
+    assert "Nothing of the plan is missing." in page
+    assert method_report.renewed(whole, whole) == whole

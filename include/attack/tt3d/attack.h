@@ -62,6 +62,10 @@ struct AttackOptions {
   std::string schedule = "exponential";  ///< the way there: one of schedule_names
   double momentum = 0;  ///< of past gradients in each step's direction, beside Adam's own; 0: none
   EotOptions eot;
+  /// Clean feature mixup (Byun et al., CVPR 2023): with this probability a layer of a surrogate
+  /// sees, beside the picture, the clean object in the same view; 0: never.
+  double feature_mix = 0;
+  double feature_mix_share = 0.75;  ///< largest share of the clean features in a channel
   int64_t checkpoint_every = 50;
   /// Steps an epoch. After each, the surrogates are asked about held-out views as an evaluation
   /// would show them, and the state with the highest success is what the attack gives; 0: never.

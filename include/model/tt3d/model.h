@@ -43,6 +43,17 @@ struct ProbeReport {
   double gradient_ratio = 1;   ///< norm over expected norm, the case furthest from 1
 };
 
+/// Competition for pictures on their way through a network: some of its layers see a share of what
+/// other pictures make of them (clean feature mixup; Byun et al., CVPR 2023). No gradient flows to
+/// the other pictures.
+struct FeatureMix {
+  at::Tensor images;  ///< [N,3,H,W], the competitor of each picture
+  double probability =
+      0;                ///< with which a layer mixes: a convolution or a linear one, not the last
+  double share = 0.75;  ///< each channel of each picture takes U(0, share) of its competitor's
+  uint64_t seed = 0, step = 0;  ///< key of the draws
+};
+
 /// An image classifier whose weights cannot change. Safe to call from one thread at a time.
 class Classifier {
  public:
@@ -62,6 +73,13 @@ class Classifier {
   /// forward again, so that one part's intermediate results are held at a time. Throws InputError
   /// for other images, ResourceError where not even one image fits.
   [[nodiscard]] virtual at::Tensor logits(const at::Tensor& images) const = 0;
+  /// The same with mixed features; `mix.images` are like `images`. A classifier without layers of
+  /// its own has nothing to mix.
+  [[nodiscard]] virtual at::Tensor mixed_logits(const at::Tensor& images,
+                                                const FeatureMix& mix) const {
+    static_cast<void>(mix);
+    return logits(images);
+  }
   /// SHA-256 over all parameters and buffers as they are used (after folding): the same before
   /// and after any use.
   [[nodiscard]] virtual std::string weights_hash() const = 0;
