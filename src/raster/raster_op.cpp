@@ -35,6 +35,12 @@ raster::Sizes sizes_of(const Tensor& rast, const Tensor& faces, int64_t vertices
 #define TT3D_DISPATCH(TENSOR, NAME, ...) \
   AT_DISPATCH_FLOATING_TYPES((TENSOR).scalar_type(), NAME, __VA_ARGS__)
 
+/// Where a gradient goes; null where it is not asked for.
+template <typename T>
+T* pointer_or_null(const Tensor& t) {
+  return t.defined() ? t.mutable_data_ptr<T>() : nullptr;
+}
+
 template <typename T>
 void run_rasterize(const Cpu& on, const Tensor& clip, const Tensor& faces, const Tensor& rast,
                    const raster::Sizes& s) {
@@ -96,13 +102,13 @@ struct Interpolate : public Function<Interpolate> {
     const Tensor rast = rast_in.contiguous();
     const int64_t channels = attributes.size(1);
     Tensor out =
-        at::zeros({rast.size(0), rast.size(1), rast.size(2), channels}, attributes.options());
+        at::empty({rast.size(0), rast.size(1), rast.size(2), channels}, attributes.options());
     const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
     TT3D_DISPATCH(out, "interpolate", [&] {
       const raster::InterpolatePixel<scalar_t> body = {
           attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
           faces.const_data_ptr<int32_t>(), out.mutable_data_ptr<scalar_t>(), s};
-      for_each_index_on(out, s.pixels(), body);
+      on_device_of(out, [&](const auto& on) { raster::for_each_pixel(on, body); });
     });
     ctx->save_for_backward({attributes, rast, faces});
     return out;
@@ -113,33 +119,22 @@ struct Interpolate : public Function<Interpolate> {
     const Tensor grad = grads[0].contiguous();
     Tensor grad_attributes, grad_rast;
     if (ctx->needs_input_grad(0)) grad_attributes = at::zeros_like(attributes);
-    if (ctx->needs_input_grad(1)) grad_rast = at::zeros_like(rast);
+    if (ctx->needs_input_grad(1)) grad_rast = at::empty_like(rast);
     const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), attributes.size(1));
-    const auto* indices = faces.const_data_ptr<int32_t>();
     TT3D_DISPATCH(grad, "interpolate_backward", [&] {
-      const auto* points = attributes.const_data_ptr<scalar_t>();
-      const auto* shown = rast.const_data_ptr<scalar_t>();
-      const auto* g = grad.const_data_ptr<scalar_t>();
-      if (grad_rast.defined()) {
-        const raster::InterpolateBackwardRast<scalar_t> body = {
-            points, shown, indices, g, grad_rast.mutable_data_ptr<scalar_t>(), s};
-        for_each_index_on(grad, s.pixels(), body);
-      }
-      if (grad_attributes.defined()) {
-        const raster::InterpolateBackwardAttributes<scalar_t> body = {
-            shown, indices, g, grad_attributes.mutable_data_ptr<scalar_t>(), s};
-        on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
-      }
+      const raster::InterpolateBackwardPixel<scalar_t> body = {
+          attributes.const_data_ptr<scalar_t>(),
+          rast.const_data_ptr<scalar_t>(),
+          faces.const_data_ptr<int32_t>(),
+          grad.const_data_ptr<scalar_t>(),
+          pointer_or_null<scalar_t>(grad_attributes),
+          pointer_or_null<scalar_t>(grad_rast),
+          s};
+      on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
     return {grad_attributes, grad_rast, Tensor()};
   }
 };
-
-/// Where a gradient goes; null where it is not asked for.
-template <typename T>
-T* pointer_or_null(const Tensor& t) {
-  return t.defined() ? t.mutable_data_ptr<T>() : nullptr;
-}
 
 template <typename T>
 raster::AntialiasScene<T> scene_of(const Tensor& rast, const Tensor& clip, const Tensor& faces,
