@@ -12,6 +12,8 @@ namespace tt3d {
   template void for_each_index(const Cuda&, int64_t, const raster::FacingFace<T>&);                \
   template void for_each_index(const Cuda&, int64_t, const raster::AntialiasPixel<T>&);            \
   template void for_each_index(const Cuda&, int64_t, const raster::AntialiasBackwardPixel<T>&);    \
+  template void for_each_index(const Cuda&, int64_t, const raster::HalveTexel<T>&);                \
+  template void for_each_index(const Cuda&, int64_t, const raster::FoldTexel<T>&);                 \
   template void for_each_index(const Cuda&, int64_t, const raster::TexturePixel<T>&);              \
   template void for_each_index(const Cuda&, int64_t, const raster::TextureBackwardPixel<T>&);
 TT3D_INSTANTIATE(float)

@@ -200,30 +200,37 @@ struct Antialias : public Function<Antialias> {
   }
 };
 
-/// A texture [H,W,C] as PyTorch's kernels want pictures, [1,C,H,W] channels-last, and back; views.
-Tensor as_picture(const Tensor& texture) { return texture.permute({2, 0, 1}).unsqueeze(0); }
-Tensor as_texture(const Tensor& picture) {
-  return picture.squeeze(0).permute({1, 2, 0}).contiguous();
+template <typename T>
+raster::MipLevel<T> level_of(const Tensor& texels, const Tensor& grad) {
+  return {texels.const_data_ptr<T>(), pointer_or_null<T>(grad), texels.size(0), texels.size(1)};
 }
 
 /// The chain of 2x2 box-filtered levels down to a side of one texel or an odd size.
 std::vector<Tensor> mipmaps(const Tensor& texture, bool with_levels) {
   std::vector<Tensor> chain = {texture};
   while (with_levels && chain.back().size(0) % 2 == 0 && chain.back().size(1) % 2 == 0) {
-    const Tensor& t = chain.back();
-    const Tensor halved = at::avg_pool2d(as_picture(t), {2, 2});
-    chain.push_back(as_texture(halved));
+    const Tensor fine = chain.back();
+    const int64_t height = fine.size(0) / 2, width = fine.size(1) / 2, channels = fine.size(2);
+    const Tensor coarse = at::empty({height, width, channels}, fine.options());
+    TT3D_DISPATCH(fine, "halve_texture", [&] {
+      const raster::HalveTexel<scalar_t> body = {level_of<scalar_t>(fine, Tensor()),
+                                                 coarse.mutable_data_ptr<scalar_t>(), channels};
+      for_each_index_on(fine, height * width, body);
+    });
+    chain.push_back(coarse);
   }
   return chain;
 }
 
 /// Spreads each level's gradient over the four texels it averaged, finest last.
-void fold_mipmap_gradients(std::vector<Tensor>& grads) {
+void fold_mipmap_gradients(const std::vector<Tensor>& chain, const std::vector<Tensor>& grads) {
   for (size_t i = grads.size() - 1; i > 0; --i) {
-    Tensor& fine = grads[i - 1];
-    const Tensor spread =
-        at::upsample_nearest2d(as_picture(grads[i]), {fine.size(0), fine.size(1)});
-    fine.add_(as_texture(spread), 0.25);
+    const Tensor& coarse = grads[i];
+    TT3D_DISPATCH(coarse, "fold_texture", [&] {
+      const raster::FoldTexel<scalar_t> body = {level_of<scalar_t>(chain[i - 1], grads[i - 1]),
+                                                coarse.const_data_ptr<scalar_t>(), coarse.size(2)};
+      for_each_index_on(coarse, coarse.size(0) * coarse.size(1), body);
+    });
   }
 }
 
@@ -232,9 +239,7 @@ raster::MipChain<T> chain_of(const std::vector<Tensor>& chain, const std::vector
   raster::MipChain<T> levels = {};
   levels.count = static_cast<int64_t>(chain.size());
   for (size_t i = 0; i < chain.size(); ++i) {
-    levels.level[i] = {chain[i].const_data_ptr<T>(),
-                       i < grads.size() ? grads[i].mutable_data_ptr<T>() : nullptr,
-                       chain[i].size(0), chain[i].size(1)};
+    levels.level[i] = level_of<T>(chain[i], i < grads.size() ? grads[i] : Tensor());
   }
   return levels;
 }
@@ -286,7 +291,7 @@ struct Texture : public Function<Texture> {
                                                            s};
       on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
-    if (!grads.empty()) fold_mipmap_gradients(grads);
+    if (!grads.empty()) fold_mipmap_gradients(chain, grads);
     return {grads.empty() ? Tensor() : grads[0], grad_uv, Tensor(), Tensor()};
   }
 };

@@ -105,7 +105,64 @@ TT3D_HD void draw_band(const T* clip, const int32_t* faces, const ScreenPoint* p
   }
 }
 
-#define TT3D_DRAW_LOOPS(T)                                                                     \
+/// Pixels whose gradients are computed at once.
+template <typename T>
+struct LanePixels {
+  FlatTriangle<Lanes> triangle;
+  Lanes px, py, grad_u, grad_v;
+  T* out[kLanes][3];  ///< where the vertices' gradients go
+
+  TT3D_HD void set(int lane, const RasterizeBackwardPixel<T>& body, int64_t view, int64_t pixel,
+                   T* sums) {
+    const Sizes& s = body.s;
+    const int64_t i = view * s.height * s.width + pixel;
+    const int32_t* face = body.faces + 3 * (static_cast<int64_t>(body.rast[4 * i + 3]) - 1);
+    const T* clip = body.clip + view * s.vertices * 4;
+    for (int k = 0; k < 3; ++k) {
+      const T* p = clip + static_cast<int64_t>(face[k]) * 4;
+      triangle.x[k][lane] = static_cast<double>(p[0]);
+      triangle.y[k][lane] = static_cast<double>(p[1]);
+      triangle.w[k][lane] = static_cast<double>(p[3]);
+      out[lane][k] = sums + static_cast<int64_t>(face[k]) * 4;
+    }
+    px[lane] = pixel_x(pixel % s.width, s.width);
+    py[lane] = pixel_y(pixel / s.width, s.height);
+    grad_u[lane] = static_cast<double>(body.grad_rast[4 * i]);
+    grad_v[lane] = static_cast<double>(body.grad_rast[4 * i + 1]);
+  }
+
+  /// Adds the gradients of the first `count` lanes.
+  TT3D_HD void add(int count) const {
+    Lanes grad[3][4] = {};
+    rasterize_backward(triangle, px, py, grad_u, grad_v, grad);
+    for (int lane = 0; lane < count; ++lane) {
+      for (int k = 0; k < 3; ++k) {
+        for (int c = 0; c < 4; ++c) out[lane][k][c] += static_cast<T>(grad[k][c][lane]);
+      }
+    }
+  }
+};
+
+/// Adds the gradients of pixels [first,last) of a view to its vertices' sums, in their order.
+template <typename T>
+TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, int64_t first,
+                           int64_t last, T* sums) {
+  const int64_t offset = 4 * view * body.s.height * body.s.width;
+  LanePixels<T> pixels = {};
+  int count = 0;
+  for (int64_t i = first; i < last; ++i) {
+    const T* grad = body.grad_rast + offset + 4 * i;
+    if (body.rast[offset + 4 * i + 3] == 0 || (grad[0] == 0 && grad[1] == 0)) continue;
+    pixels.set(count++, body, view, i, sums);
+    if (count < kLanes) continue;
+    pixels.add(kLanes);
+    count = 0;
+  }
+  pixels.add(count);
+}
+
+// target_clones needs plain functions.
+#define TT3D_RASTERIZE_LOOPS(T)                                                                \
   TT3D_CPU_LOOP void draw_loop(const T* clip, const int32_t* faces, const ScreenPoint* points, \
                                const Sizes& s, const Band<T>& band) {                          \
     draw_band(clip, faces, points, s, band);                                                   \
@@ -114,10 +171,14 @@ TT3D_HD void draw_band(const T* clip, const int32_t* faces, const ScreenPoint* p
     for (int64_t v = 0; v < s.vertices; ++v) {                                                 \
       points[v] = screen_point(load_vertex(clip, v), s.height, s.width);                       \
     }                                                                                          \
+  }                                                                                            \
+  TT3D_CPU_LOOP void spread_loop(const RasterizeBackwardPixel<T>& body, int64_t view,          \
+                                 int64_t first, int64_t last, T* sums) {                       \
+    spread_pixels(body, view, first, last, sums);                                              \
   }
-TT3D_DRAW_LOOPS(float)
-TT3D_DRAW_LOOPS(double)
-#undef TT3D_DRAW_LOOPS
+TT3D_RASTERIZE_LOOPS(float)
+TT3D_RASTERIZE_LOOPS(double)
+#undef TT3D_RASTERIZE_LOOPS
 
 /// Rows [y_begin,y_end) of a view, whose pixels start at `rast`.
 template <typename T>
@@ -150,34 +211,13 @@ void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const S
   });
 }
 
-/// Neighbouring pixels mostly show the same triangle: its corners are loaded and its gradients
-/// added to the vertices' once a run of them.
 template <typename T>
 void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body) {
-  const Sizes& s = body.s;
-  const int64_t pixels = s.height * s.width;
   const auto add = [&](int64_t view, int64_t first, int64_t last, T* sums) {
-    int64_t shown = -1;
-    ClipTriangle triangle = {};
-    double grad[3][4] = {};
-    for (int64_t i = first; i < last; ++i) {
-      const T* rast = body.rast + 4 * (view * pixels + i);
-      const T* grad_rast = body.grad_rast + 4 * (view * pixels + i);
-      const auto face = static_cast<int64_t>(rast[3]) - 1;
-      if (face < 0 || (grad_rast[0] == 0 && grad_rast[1] == 0)) continue;
-      if (face != shown) {
-        if (shown >= 0) body.add(shown, grad, sums);
-        std::fill_n(&grad[0][0], 12, 0.0);
-        triangle = load_triangle(body.clip + view * s.vertices * 4, body.faces + 3 * face);
-        shown = face;
-      }
-      rasterize_backward(triangle, pixel_x(i % s.width, s.width), pixel_y(i / s.width, s.height),
-                         static_cast<double>(grad_rast[0]), static_cast<double>(grad_rast[1]),
-                         grad);
-    }
-    if (shown >= 0) body.add(shown, grad, sums);
+    spread_loop(body, view, first, last, sums);
   };
-  scatter_in_parts(s.views, pixels, s.vertices, 4, body.grad_clip, add);
+  scatter_in_parts(body.s.views, body.s.height * body.s.width, body.s.vertices, 4, body.grad_clip,
+                   add);
 }
 
 template void rasterize(const Cpu&, const float*, const int32_t*, float*, const Sizes&);

@@ -235,33 +235,38 @@ TT3D_HD bool hides(double depth, int64_t face, double shown_depth, int64_t shown
   return depth < shown_depth || (depth == shown_depth && face < shown_face);
 }
 
-/// Backward of one pixel's (u,v): adds to grad[3][4], the gradients of the triangle's vertices.
-/// With p' = p.xy - P p.w and a_k = cross of the other two p', u = a_0/sum a, v = a_1/sum a.
-TT3D_HD void rasterize_backward(const ClipTriangle& triangle, double px, double py, double grad_u,
-                                double grad_v, double grad[3][4]) {
-  double x[3], y[3];
+/// The numbers of a triangle that its pixels' gradients depend on. (Value: see `least`.)
+template <typename Value>
+struct FlatTriangle {
+  Value x[3], y[3], w[3];
+};
+
+/// Backward of one pixel's (u,v): sets grad[3][4], the gradients of the triangle's vertices but for
+/// those of z, which are 0. With p' = p.xy - P p.w and a_k = cross of the other two p',
+/// u = a_0/sum a, v = a_1/sum a.
+template <typename Value>
+TT3D_HD void rasterize_backward(const FlatTriangle<Value>& t, const Value& px, const Value& py,
+                                const Value& grad_u, const Value& grad_v, Value grad[3][4]) {
+  Value x[3], y[3];
   for (int k = 0; k < 3; ++k) {
-    x[k] = triangle.corner[k].x - px * triangle.corner[k].w;
-    y[k] = triangle.corner[k].y - py * triangle.corner[k].w;
+    x[k] = t.x[k] - px * t.w[k];
+    y[k] = t.y[k] - py * t.w[k];
   }
-  double a[3];
+  Value a[3];
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3, j = (k + 2) % 3;
     a[k] = x[i] * y[j] - x[j] * y[i];
   }
-  const double sum = a[0] + a[1] + a[2];
-  if (sum == 0) return;
-  const double inverse = 1 / sum;
-  const double mean = (grad_u * a[0] + grad_v * a[1]) * inverse;
-  const double grad_a[3] = {(grad_u - mean) * inverse, (grad_v - mean) * inverse, -mean * inverse};
+  const Value sum = a[0] + a[1] + a[2], one = sum * 0 + 1;
+  const Value inverse = sum == 0 ? sum : one / sum;
+  const Value mean = (grad_u * a[0] + grad_v * a[1]) * inverse;
+  const Value grad_a[3] = {(grad_u - mean) * inverse, (grad_v - mean) * inverse, -mean * inverse};
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3, j = (k + 2) % 3;
     // Vertex k enters a_j = cross(p_k, p_i) and a_i = cross(p_j, p_k).
-    const double gx = grad_a[j] * y[i] - grad_a[i] * y[j];
-    const double gy = grad_a[i] * x[j] - grad_a[j] * x[i];
-    grad[k][0] += gx;
-    grad[k][1] += gy;
-    grad[k][3] -= px * gx + py * gy;
+    grad[k][0] = grad_a[j] * y[i] - grad_a[i] * y[j];
+    grad[k][1] = grad_a[i] * x[j] - grad_a[j] * x[i];
+    grad[k][3] = -(px * grad[k][0] + py * grad[k][1]);
   }
 }
 
@@ -279,16 +284,19 @@ struct RasterizeBackwardPixel {
     if (face < 0) return;
     const PixelPlace at = place_of(i, s);
     const int64_t first = at.view * s.vertices * 4;
-    double grad[3][4] = {};
-    rasterize_backward(load_triangle(clip + first, faces + 3 * face), pixel_x(at.column, s.width),
-                       pixel_y(at.row, s.height), static_cast<double>(grad_rast[4 * i]),
-                       static_cast<double>(grad_rast[4 * i + 1]), grad);
-    add(face, grad, grad_clip + first);
-  }
-  /// Adds the gradients of a triangle's vertices to those of the view.
-  TT3D_HD void add(int64_t face, const double grad[3][4], T* sums) const {
+    const ClipTriangle v = load_triangle(clip + first, faces + 3 * face);
+    FlatTriangle<double> t;
     for (int k = 0; k < 3; ++k) {
-      T* out = sums + static_cast<int64_t>(faces[3 * face + k]) * 4;
+      t.x[k] = v.corner[k].x;
+      t.y[k] = v.corner[k].y;
+      t.w[k] = v.corner[k].w;
+    }
+    double grad[3][4] = {};
+    rasterize_backward(t, pixel_x(at.column, s.width), pixel_y(at.row, s.height),
+                       static_cast<double>(grad_rast[4 * i]),
+                       static_cast<double>(grad_rast[4 * i + 1]), grad);
+    for (int k = 0; k < 3; ++k) {
+      T* out = grad_clip + first + static_cast<int64_t>(faces[3 * face + k]) * 4;
       for (int c = 0; c < 4; ++c) accumulate(out + c, static_cast<T>(grad[k][c]));
     }
   }

@@ -66,6 +66,48 @@ struct MipChain {
   int64_t count;
 };
 
+/// Where texel i of the coarser of two levels lies in the finer one: its upper left texel.
+template <typename T>
+TT3D_HD int64_t first_of_four(const MipLevel<T>& fine, int64_t i) {
+  const int64_t width = fine.width / 2, row = i / width;
+  return 2 * row * fine.width + 2 * (i - row * width);
+}
+
+/// Body: texel i of a level is the mean of four of the finer one.
+template <typename T>
+struct HalveTexel {
+  MipLevel<T> fine;
+  T* coarse;
+  int64_t channels;
+  TT3D_HD void operator()(int64_t i) const {
+    const T* above = fine.texels + first_of_four(fine, i) * channels;
+    const T* below = above + fine.width * channels;
+    for (int64_t c = 0; c < channels; ++c) {
+      coarse[i * channels + c] =
+          T(0.25) * (above[c] + above[channels + c] + below[c] + below[channels + c]);
+    }
+  }
+};
+
+/// Body: spreads the gradient of texel i of a level over the four that it averaged.
+template <typename T>
+struct FoldTexel {
+  MipLevel<T> fine;
+  const T* coarse_grad;
+  int64_t channels;
+  TT3D_HD void operator()(int64_t i) const {
+    T* above = fine.grad + first_of_four(fine, i) * channels;
+    T* below = above + fine.width * channels;
+    for (int64_t c = 0; c < channels; ++c) {
+      const T share = T(0.25) * coarse_grad[i * channels + c];
+      above[c] += share;
+      above[channels + c] += share;
+      below[c] += share;
+      below[channels + c] += share;
+    }
+  }
+};
+
 /// The two levels of a look-up and the share of the coarser one.
 struct LevelBlend {
   int64_t fine, coarse;
