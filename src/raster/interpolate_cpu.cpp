@@ -1,28 +1,7 @@
-#include <type_traits>
-
 #include "pixels_cpu.h"
 #include "raster_kernels.h"
 
 namespace tt3d::raster {
-namespace {
-
-/// Calls visit(channels) with a number that the compiler knows where it is a usual one.
-template <typename Visit>
-void with_channels(int64_t channels, const Visit& visit) {
-  switch (channels) {
-    case 2:
-      return visit(std::integral_constant<int64_t, 2>());
-    case 3:
-      return visit(std::integral_constant<int64_t, 3>());
-    case 4:
-      return visit(std::integral_constant<int64_t, 4>());
-    default:
-      return visit(channels);
-  }
-}
-
-}  // namespace
-
 template <typename T>
 void for_each_pixel(const Cpu&, const InterpolatePixel<T>& body) {
   with_channels(body.s.channels, [&](auto channels) {

@@ -2,11 +2,27 @@
 
 #include <algorithm>
 #include <memory>
+#include <type_traits>
 
 #include "rasterize_math.h"
 #include "tt3d/device.h"
 
 namespace tt3d::raster {
+
+/// Calls visit(channels) with a number that the compiler knows where it is a usual one.
+template <typename Visit>
+void with_channels(int64_t channels, const Visit& visit) {
+  switch (channels) {
+    case 2:
+      return visit(std::integral_constant<int64_t, 2>());
+    case 3:
+      return visit(std::integral_constant<int64_t, 3>());
+    case 4:
+      return visit(std::integral_constant<int64_t, 4>());
+    default:
+      return visit(channels);
+  }
+}
 
 /// Adds to sums that pixels share: of each group (say, a view) `rows` rows of `length` numbers.
 /// Calls add(group, first, last, sums) for parts of each group's pixels. All but a group's first

@@ -30,9 +30,11 @@ template <typename T>
 void draw_tiles(const Cuda& on, const T* clip, const int32_t* faces, const int64_t* begin,
                 const int32_t* list, T* rast, const Sizes& s);
 
-/// A body whose pixels are independent.
+// Bodies whose pixels are independent.
 template <typename T>
 void for_each_pixel(const Cpu&, const InterpolatePixel<T>& body);
+template <typename T>
+void for_each_pixel(const Cpu&, const TexturePixel<T>& body);
 
 template <typename Body>
 void for_each_pixel(const Cuda& on, const Body& body) {

@@ -255,14 +255,14 @@ struct Texture : public Function<Texture> {
     const Tensor uv = uv_in.contiguous();
     const std::vector<Tensor> chain = mipmaps(texture_in.contiguous(), derivatives.numel() > 0);
     Tensor out =
-        at::zeros({uv.size(0), uv.size(1), uv.size(2), texture_in.size(2)}, texture_in.options());
+        at::empty({uv.size(0), uv.size(1), uv.size(2), texture_in.size(2)}, texture_in.options());
     const raster::Sizes s = {uv.size(0), 0, 0, uv.size(1), uv.size(2), texture_in.size(2)};
     TT3D_DISPATCH(out, "texture", [&] {
       const raster::TexturePixel<scalar_t> body = {
           chain_of<scalar_t>(chain, {}),         uv.const_data_ptr<scalar_t>(),
           derivatives_of<scalar_t>(derivatives), rast.const_data_ptr<scalar_t>(),
           out.mutable_data_ptr<scalar_t>(),      s};
-      for_each_index_on(out, s.pixels(), body);
+      on_device_of(out, [&](const auto& on) { raster::for_each_pixel(on, body); });
     });
     variable_list saved = {uv, rast, derivatives};
     saved.insert(saved.end(), chain.begin(), chain.end());
