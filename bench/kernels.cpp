@@ -11,6 +11,7 @@
 
 #include "field/field_reference.h"
 #include "raster/raster_reference.h"
+#include "tt3d/core.h"
 #include "tt3d/field.h"
 #include "tt3d/kernel.h"
 #include "tt3d/raster.h"
@@ -234,6 +235,7 @@ BENCHMARK(hash_encode_plain_tensors)->Unit(benchmark::kMillisecond)->UseRealTime
 }  // namespace tt3d
 
 int main(int argc, char** argv) {
+  tt3d::keep_freed_memory();  // as the program
   at::set_num_threads(std::max(
       1, std::atoi(std::getenv("OMP_NUM_THREADS") ? std::getenv("OMP_NUM_THREADS") : "1")));
   benchmark::Initialize(&argc, argv);

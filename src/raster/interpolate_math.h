@@ -18,6 +18,7 @@ TT3D_HD Corners<T> corners_of(const T* attributes, const int32_t* faces, int64_t
           attributes + faces[3 * face + 2] * channels};
 }
 
+/// Writes every pixel.
 template <typename T>
 struct InterpolatePixel {
   const T* attributes;
@@ -25,61 +26,59 @@ struct InterpolatePixel {
   const int32_t* faces;
   T* out;
   Sizes s;
-  TT3D_HD void operator()(int64_t i) const {
+  TT3D_HD void operator()(int64_t i) const { write(i, s.channels); }
+  TT3D_HD void write(int64_t i, int64_t channels) const {
+    T* to = out + i * channels;
     const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
-    if (face < 0) return;
+    if (face < 0) {
+      for (int64_t k = 0; k < channels; ++k) to[k] = 0;
+      return;
+    }
     const T u = rast[4 * i], v = rast[4 * i + 1];
-    const Corners<T> p = corners_of(attributes, faces, face, s.channels);
-    for (int64_t k = 0; k < s.channels; ++k) {
-      out[i * s.channels + k] = u * p.a[k] + v * p.b[k] + (1 - u - v) * p.c[k];
+    const Corners<T> p = corners_of(attributes, faces, face, channels);
+    for (int64_t k = 0; k < channels; ++k) {
+      to[k] = u * p.a[k] + v * p.b[k] + (1 - u - v) * p.c[k];
     }
   }
 };
 
-/// Gradient with respect to u and v.
+/// Overwrites grad_rast, of which u and v are not constants, and adds to the attributes' gradients.
 template <typename T>
-struct InterpolateBackwardRast {
+struct InterpolateBackwardPixel {
   const T* attributes;
   const T* rast;
   const int32_t* faces;
   const T* grad_out;
-  T* grad_rast;
+  T* grad_attributes;  ///< may be null
+  T* grad_rast;        ///< may be null
   Sizes s;
-  TT3D_HD void operator()(int64_t i) const {
+  TT3D_HD void operator()(int64_t i) const { spread(i, s.channels, grad_attributes); }
+  TT3D_HD void spread(int64_t i, int64_t channels, T* sums) const {
     const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
-    if (face < 0) return;
-    const Corners<T> p = corners_of(attributes, faces, face, s.channels);
-    T grad_u = 0, grad_v = 0;
-    for (int64_t k = 0; k < s.channels; ++k) {
-      const T g = grad_out[i * s.channels + k];
-      grad_u += g * (p.a[k] - p.c[k]);
-      grad_v += g * (p.b[k] - p.c[k]);
-    }
-    grad_rast[4 * i] = grad_u;
-    grad_rast[4 * i + 1] = grad_v;
-  }
-};
-
-/// Gradient with respect to the attributes.
-template <typename T>
-struct InterpolateBackwardAttributes {
-  const T* rast;
-  const int32_t* faces;
-  const T* grad_out;
-  T* grad_attributes;
-  Sizes s;
-  TT3D_HD void operator()(int64_t i) const { add(i, grad_attributes); }
-  TT3D_HD void add(int64_t i, T* sums) const {
-    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
-    if (face < 0) return;
+    const T* grad = grad_out + i * channels;
+    if (grad_rast) set_grad_rast(i, face, channels, grad);
+    if (!sums || face < 0) return;
     const T u = rast[4 * i], v = rast[4 * i + 1];
     const T weight[3] = {u, v, 1 - u - v};
     for (int c = 0; c < 3; ++c) {
-      T* out = sums + faces[3 * face + c] * s.channels;
-      for (int64_t k = 0; k < s.channels; ++k) {
-        accumulate(out + k, weight[c] * grad_out[i * s.channels + k]);
+      T* out = sums + faces[3 * face + c] * channels;
+      for (int64_t k = 0; k < channels; ++k) accumulate(out + k, weight[c] * grad[k]);
+    }
+  }
+  TT3D_HD void set_grad_rast(int64_t i, int64_t face, int64_t channels, const T* grad) const {
+    T grad_u = 0, grad_v = 0;
+    if (face >= 0) {
+      const Corners<T> p = corners_of(attributes, faces, face, channels);
+      for (int64_t k = 0; k < channels; ++k) {
+        grad_u += grad[k] * (p.a[k] - p.c[k]);
+        grad_v += grad[k] * (p.b[k] - p.c[k]);
       }
     }
+    T* out = grad_rast + 4 * i;
+    out[0] = grad_u;
+    out[1] = grad_v;
+    out[2] = 0;
+    out[3] = 0;
   }
 };
 

@@ -7,13 +7,13 @@ namespace tt3d {
 #define TT3D_INSTANTIATE(T)                                                                        \
   template void for_each_index(const Cuda&, int64_t, const raster::RasterizeBackwardPixel<T>&);    \
   template void for_each_index(const Cuda&, int64_t, const raster::InterpolatePixel<T>&);          \
-  template void for_each_index(const Cuda&, int64_t, const raster::InterpolateBackwardRast<T>&);   \
-  template void for_each_index(const Cuda&, int64_t,                                               \
-                               const raster::InterpolateBackwardAttributes<T>&);                   \
+  template void for_each_index(const Cuda&, int64_t, const raster::InterpolateBackwardPixel<T>&);  \
   template void for_each_index(const Cuda&, int64_t, const raster::AttributeDerivativesPixel<T>&); \
   template void for_each_index(const Cuda&, int64_t, const raster::FacingFace<T>&);                \
   template void for_each_index(const Cuda&, int64_t, const raster::AntialiasPixel<T>&);            \
   template void for_each_index(const Cuda&, int64_t, const raster::AntialiasBackwardPixel<T>&);    \
+  template void for_each_index(const Cuda&, int64_t, const raster::HalveTexel<T>&);                \
+  template void for_each_index(const Cuda&, int64_t, const raster::FoldTexel<T>&);                 \
   template void for_each_index(const Cuda&, int64_t, const raster::TexturePixel<T>&);              \
   template void for_each_index(const Cuda&, int64_t, const raster::TextureBackwardPixel<T>&);
 TT3D_INSTANTIATE(float)

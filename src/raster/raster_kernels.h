@@ -30,11 +30,22 @@ template <typename T>
 void draw_tiles(const Cuda& on, const T* clip, const int32_t* faces, const int64_t* begin,
                 const int32_t* list, T* rast, const Sizes& s);
 
+// Bodies whose pixels are independent.
+template <typename T>
+void for_each_pixel(const Cpu&, const InterpolatePixel<T>& body);
+template <typename T>
+void for_each_pixel(const Cpu&, const TexturePixel<T>& body);
+
+template <typename Body>
+void for_each_pixel(const Cuda& on, const Body& body) {
+  for_each_index(on, body.s.pixels(), body);
+}
+
 // Bodies that add to sums which pixels share: in pixel order here, in any order on the GPU.
 template <typename T>
 void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body);
 template <typename T>
-void scatter(const Cpu&, const InterpolateBackwardAttributes<T>& body);
+void scatter(const Cpu&, const InterpolateBackwardPixel<T>& body);
 template <typename T>
 void scatter(const Cpu&, const AntialiasPixel<T>& body);
 template <typename T>

@@ -35,6 +35,12 @@ raster::Sizes sizes_of(const Tensor& rast, const Tensor& faces, int64_t vertices
 #define TT3D_DISPATCH(TENSOR, NAME, ...) \
   AT_DISPATCH_FLOATING_TYPES((TENSOR).scalar_type(), NAME, __VA_ARGS__)
 
+/// Where a gradient goes; null where it is not asked for.
+template <typename T>
+T* pointer_or_null(const Tensor& t) {
+  return t.defined() ? t.mutable_data_ptr<T>() : nullptr;
+}
+
 template <typename T>
 void run_rasterize(const Cpu& on, const Tensor& clip, const Tensor& faces, const Tensor& rast,
                    const raster::Sizes& s) {
@@ -96,13 +102,13 @@ struct Interpolate : public Function<Interpolate> {
     const Tensor rast = rast_in.contiguous();
     const int64_t channels = attributes.size(1);
     Tensor out =
-        at::zeros({rast.size(0), rast.size(1), rast.size(2), channels}, attributes.options());
+        at::empty({rast.size(0), rast.size(1), rast.size(2), channels}, attributes.options());
     const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
     TT3D_DISPATCH(out, "interpolate", [&] {
       const raster::InterpolatePixel<scalar_t> body = {
           attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
           faces.const_data_ptr<int32_t>(), out.mutable_data_ptr<scalar_t>(), s};
-      for_each_index_on(out, s.pixels(), body);
+      on_device_of(out, [&](const auto& on) { raster::for_each_pixel(on, body); });
     });
     ctx->save_for_backward({attributes, rast, faces});
     return out;
@@ -113,33 +119,22 @@ struct Interpolate : public Function<Interpolate> {
     const Tensor grad = grads[0].contiguous();
     Tensor grad_attributes, grad_rast;
     if (ctx->needs_input_grad(0)) grad_attributes = at::zeros_like(attributes);
-    if (ctx->needs_input_grad(1)) grad_rast = at::zeros_like(rast);
+    if (ctx->needs_input_grad(1)) grad_rast = at::empty_like(rast);
     const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), attributes.size(1));
-    const auto* indices = faces.const_data_ptr<int32_t>();
     TT3D_DISPATCH(grad, "interpolate_backward", [&] {
-      const auto* points = attributes.const_data_ptr<scalar_t>();
-      const auto* shown = rast.const_data_ptr<scalar_t>();
-      const auto* g = grad.const_data_ptr<scalar_t>();
-      if (grad_rast.defined()) {
-        const raster::InterpolateBackwardRast<scalar_t> body = {
-            points, shown, indices, g, grad_rast.mutable_data_ptr<scalar_t>(), s};
-        for_each_index_on(grad, s.pixels(), body);
-      }
-      if (grad_attributes.defined()) {
-        const raster::InterpolateBackwardAttributes<scalar_t> body = {
-            shown, indices, g, grad_attributes.mutable_data_ptr<scalar_t>(), s};
-        on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
-      }
+      const raster::InterpolateBackwardPixel<scalar_t> body = {
+          attributes.const_data_ptr<scalar_t>(),
+          rast.const_data_ptr<scalar_t>(),
+          faces.const_data_ptr<int32_t>(),
+          grad.const_data_ptr<scalar_t>(),
+          pointer_or_null<scalar_t>(grad_attributes),
+          pointer_or_null<scalar_t>(grad_rast),
+          s};
+      on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
     return {grad_attributes, grad_rast, Tensor()};
   }
 };
-
-/// Where a gradient goes; null where it is not asked for.
-template <typename T>
-T* pointer_or_null(const Tensor& t) {
-  return t.defined() ? t.mutable_data_ptr<T>() : nullptr;
-}
 
 template <typename T>
 raster::AntialiasScene<T> scene_of(const Tensor& rast, const Tensor& clip, const Tensor& faces,
@@ -205,30 +200,37 @@ struct Antialias : public Function<Antialias> {
   }
 };
 
-/// A texture [H,W,C] as PyTorch's kernels want pictures, [1,C,H,W] channels-last, and back; views.
-Tensor as_picture(const Tensor& texture) { return texture.permute({2, 0, 1}).unsqueeze(0); }
-Tensor as_texture(const Tensor& picture) {
-  return picture.squeeze(0).permute({1, 2, 0}).contiguous();
+template <typename T>
+raster::MipLevel<T> level_of(const Tensor& texels, const Tensor& grad) {
+  return {texels.const_data_ptr<T>(), pointer_or_null<T>(grad), texels.size(0), texels.size(1)};
 }
 
 /// The chain of 2x2 box-filtered levels down to a side of one texel or an odd size.
 std::vector<Tensor> mipmaps(const Tensor& texture, bool with_levels) {
   std::vector<Tensor> chain = {texture};
   while (with_levels && chain.back().size(0) % 2 == 0 && chain.back().size(1) % 2 == 0) {
-    const Tensor& t = chain.back();
-    const Tensor halved = at::avg_pool2d(as_picture(t), {2, 2});
-    chain.push_back(as_texture(halved));
+    const Tensor fine = chain.back();
+    const int64_t height = fine.size(0) / 2, width = fine.size(1) / 2, channels = fine.size(2);
+    const Tensor coarse = at::empty({height, width, channels}, fine.options());
+    TT3D_DISPATCH(fine, "halve_texture", [&] {
+      const raster::HalveTexel<scalar_t> body = {level_of<scalar_t>(fine, Tensor()),
+                                                 coarse.mutable_data_ptr<scalar_t>(), channels};
+      for_each_index_on(fine, height * width, body);
+    });
+    chain.push_back(coarse);
   }
   return chain;
 }
 
 /// Spreads each level's gradient over the four texels it averaged, finest last.
-void fold_mipmap_gradients(std::vector<Tensor>& grads) {
+void fold_mipmap_gradients(const std::vector<Tensor>& chain, const std::vector<Tensor>& grads) {
   for (size_t i = grads.size() - 1; i > 0; --i) {
-    Tensor& fine = grads[i - 1];
-    const Tensor spread =
-        at::upsample_nearest2d(as_picture(grads[i]), {fine.size(0), fine.size(1)});
-    fine.add_(as_texture(spread), 0.25);
+    const Tensor& coarse = grads[i];
+    TT3D_DISPATCH(coarse, "fold_texture", [&] {
+      const raster::FoldTexel<scalar_t> body = {level_of<scalar_t>(chain[i - 1], grads[i - 1]),
+                                                coarse.const_data_ptr<scalar_t>(), coarse.size(2)};
+      for_each_index_on(coarse, coarse.size(0) * coarse.size(1), body);
+    });
   }
 }
 
@@ -237,9 +239,7 @@ raster::MipChain<T> chain_of(const std::vector<Tensor>& chain, const std::vector
   raster::MipChain<T> levels = {};
   levels.count = static_cast<int64_t>(chain.size());
   for (size_t i = 0; i < chain.size(); ++i) {
-    levels.level[i] = {chain[i].const_data_ptr<T>(),
-                       i < grads.size() ? grads[i].mutable_data_ptr<T>() : nullptr,
-                       chain[i].size(0), chain[i].size(1)};
+    levels.level[i] = level_of<T>(chain[i], i < grads.size() ? grads[i] : Tensor());
   }
   return levels;
 }
@@ -255,14 +255,14 @@ struct Texture : public Function<Texture> {
     const Tensor uv = uv_in.contiguous();
     const std::vector<Tensor> chain = mipmaps(texture_in.contiguous(), derivatives.numel() > 0);
     Tensor out =
-        at::zeros({uv.size(0), uv.size(1), uv.size(2), texture_in.size(2)}, texture_in.options());
+        at::empty({uv.size(0), uv.size(1), uv.size(2), texture_in.size(2)}, texture_in.options());
     const raster::Sizes s = {uv.size(0), 0, 0, uv.size(1), uv.size(2), texture_in.size(2)};
     TT3D_DISPATCH(out, "texture", [&] {
       const raster::TexturePixel<scalar_t> body = {
           chain_of<scalar_t>(chain, {}),         uv.const_data_ptr<scalar_t>(),
           derivatives_of<scalar_t>(derivatives), rast.const_data_ptr<scalar_t>(),
           out.mutable_data_ptr<scalar_t>(),      s};
-      for_each_index_on(out, s.pixels(), body);
+      on_device_of(out, [&](const auto& on) { raster::for_each_pixel(on, body); });
     });
     variable_list saved = {uv, rast, derivatives};
     saved.insert(saved.end(), chain.begin(), chain.end());
@@ -291,7 +291,7 @@ struct Texture : public Function<Texture> {
                                                            s};
       on_device_of(grad, [&](const auto& on) { raster::scatter(on, body); });
     });
-    if (!grads.empty()) fold_mipmap_gradients(grads);
+    if (!grads.empty()) fold_mipmap_gradients(chain, grads);
     return {grads.empty() ? Tensor() : grads[0], grad_uv, Tensor(), Tensor()};
   }
 };

@@ -50,7 +50,13 @@ TT3D_HD ClipTriangle load_triangle(const T* clip, const int32_t* face) {
 /// positive to its left. Doubles, because the terms cancel almost completely on small triangles.
 struct EdgeFunction {
   double a, b, c;
-  TT3D_HD double at(double px, double py) const { return a * px + (b * py + c); }
+  /// Its two parts, so that a column and a row of pixels need each once; the value is their sum.
+  template <typename Value>
+  [[nodiscard]] TT3D_HD Value of_column(const Value& px) const {
+    return a * px;
+  }
+  [[nodiscard]] TT3D_HD double of_row(double py) const { return b * py + c; }
+  [[nodiscard]] TT3D_HD double at(double px, double py) const { return of_column(px) + of_row(py); }
   /// Sign at (px,py), never 0 for a real edge: a pixel exactly on the edge counts as if moved by
   /// (eps, eps^2), so that every point belongs to exactly one side, consistently at vertices too.
   TT3D_HD int sign_at(double value) const {
@@ -108,13 +114,16 @@ TT3D_HD int pixel_past(double value, int64_t limit) {
                                              : static_cast<int>(value) + 1;
 }
 
-TT3D_HD double least(double a, double b, double c) {
-  const double ab = a < b ? a : b;
+/// Value: double, or on the CPU a vector of them.
+template <typename Value>
+TT3D_HD Value least(const Value& a, const Value& b, const Value& c) {
+  const Value ab = a < b ? a : b;
   return ab < c ? ab : c;
 }
 
-TT3D_HD double greatest(double a, double b, double c) {
-  const double ab = a > b ? a : b;
+template <typename Value>
+TT3D_HD Value greatest(const Value& a, const Value& b, const Value& c) {
+  const Value ab = a > b ? a : b;
   return ab > c ? ab : c;
 }
 
@@ -131,31 +140,27 @@ TT3D_HD ScreenPoint screen_point(const ClipVertex& v, int64_t height, int64_t wi
           (1 - v.y * inverse) * (0.5 * static_cast<double>(height)) - 0.5, true};
 }
 
-/// Pixel range of a triangle; the whole picture when a vertex is behind the camera.
-TT3D_HD void set_bounds(const ScreenPoint& p, const ScreenPoint& q, const ScreenPoint& r,
+/// Pixel range of a triangle, the whole picture when a vertex is behind the camera; false when it
+/// is empty.
+TT3D_HD bool set_bounds(const ScreenPoint& p, const ScreenPoint& q, const ScreenPoint& r,
                         int64_t height, int64_t width, TriangleSetup& setup) {
   setup.x_begin = 0;
   setup.y_begin = 0;
   setup.x_end = static_cast<int>(width);
   setup.y_end = static_cast<int>(height);
-  if (!(p.in_front && q.in_front && r.in_front)) return;
+  if (!(p.in_front && q.in_front && r.in_front)) return p.in_front || q.in_front || r.in_front;
   // A margin covers rounding, the edge functions decide.
   constexpr double kMargin = 1e-6;
   setup.x_begin = pixel_from(least(p.x, q.x, r.x) - kMargin, width);
   setup.x_end = pixel_past(greatest(p.x, q.x, r.x) + kMargin, width);
   setup.y_begin = pixel_from(least(p.y, q.y, r.y) - kMargin, height);
   setup.y_end = pixel_past(greatest(p.y, q.y, r.y) + kMargin, height);
+  return setup.x_begin < setup.x_end && setup.y_begin < setup.y_end;
 }
 
-/// Prepares a triangle whose vertices' places are known. False when it cannot cover a pixel (behind
-/// the camera, zero area, no pixel centre within its bounds, not finite).
+/// Prepares the edges of a triangle whose bounds are set.
 template <typename T>
-TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, const ScreenPoint& p,
-                            const ScreenPoint& q, const ScreenPoint& r, int64_t height,
-                            int64_t width, TriangleSetup& setup) {
-  if (!p.in_front && !q.in_front && !r.in_front) return false;
-  set_bounds(p, q, r, height, width, setup);
-  if (setup.x_begin >= setup.x_end || setup.y_begin >= setup.y_end) return false;
+TT3D_HD void set_edges(const T* clip, const int32_t* face, TriangleSetup& setup) {
   const ClipTriangle v = load_triangle(clip, face);
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3;
@@ -164,16 +169,18 @@ TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, const ScreenPoin
     setup.z[k] = v.corner[k].z;
     setup.w[k] = v.corner[k].w;
   }
-  return true;
 }
 
-/// The same where they are not.
+/// Prepares a triangle for the whole picture. False when it cannot cover a pixel (behind the
+/// camera, no pixel centre within its bounds, not finite).
 template <typename T>
 TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, int64_t width,
                             TriangleSetup& setup) {
   ScreenPoint at[3];
   for (int k = 0; k < 3; ++k) at[k] = screen_point(load_vertex(clip, face[k]), height, width);
-  return setup_triangle(clip, face, at[0], at[1], at[2], height, width, setup);
+  if (!set_bounds(at[0], at[1], at[2], height, width, setup)) return false;
+  set_edges(clip, face, setup);
+  return true;
 }
 
 /// A covered pixel: the edge functions' values there, and the depth z/w.
@@ -184,28 +191,42 @@ struct Hit {
   [[nodiscard]] TT3D_HD double scale() const { return 1 / (e[0] + e[1] + e[2]); }
 };
 
-/// Whether the pixel at which the edge functions have values e lies inside: on the same side of
-/// all edges.
+/// Whether the pixel at which the edge functions have values e lies inside: strictly on the same
+/// side of all edges. (Value: see `least`; hence no branches here and in `depth_at`.)
+template <typename Value>
+TT3D_HD auto strictly_inside(const Value e[3]) {
+  return (least(e[0], e[1], e[2]) > 0) | (greatest(e[0], e[1], e[2]) < 0);
+}
+
+/// Whether it lies on an edge, so that `inside` has to break a tie.
+template <typename Value>
+TT3D_HD auto on_an_edge(const Value e[3]) {
+  return (e[0] == 0) | (e[1] == 0) | (e[2] == 0);
+}
+
+/// Whether it lies inside.
 TT3D_HD bool inside(const TriangleSetup& t, const double e[3]) {
-  if (e[0] > 0 && e[1] > 0 && e[2] > 0) return true;
-  if (e[0] < 0 && e[1] < 0 && e[2] < 0) return true;
-  if (e[0] != 0 && e[1] != 0 && e[2] != 0) return false;
+  if (strictly_inside(e)) return true;
+  if (!on_an_edge(e)) return false;
   const int side = t.edge[0].sign_at(e[0]);
   return side != 0 && t.edge[1].sign_at(e[1]) == side && t.edge[2].sign_at(e[2]) == side &&
          e[0] + e[1] + e[2] != 0;
 }
 
+/// The depth of a hit; false when it is behind the camera or beyond the near or far plane.
+template <typename Value>
+TT3D_HD auto depth_at(const TriangleSetup& t, const Value e[3], Value& zw) {
+  // Both share the factor 1 / (e0 + e1 + e2), which the depth does not need.
+  const Value w = e[0] * t.w[0] + e[1] * t.w[1] + e[2] * t.w[2];
+  const Value z = e[0] * t.z[0] + e[1] * t.z[1] + e[2] * t.z[2];
+  zw = z / w;
+  return ((w > 0) == (e[0] + e[1] + e[2] > 0)) & (w != 0) & (zw >= -1) & (zw <= 1);
+}
+
 /// Whether the triangle covers the pixel at (px,py), and where.
 TT3D_HD bool hit_triangle(const TriangleSetup& t, double px, double py, Hit& hit) {
   for (int k = 0; k < 3; ++k) hit.e[k] = t.edge[k].at(px, py);
-  if (!inside(t, hit.e)) return false;
-  // Both share the factor 1 / (e0 + e1 + e2), which the depth does not need.
-  const double w = hit.e[0] * t.w[0] + hit.e[1] * t.w[1] + hit.e[2] * t.w[2];
-  const double z = hit.e[0] * t.z[0] + hit.e[1] * t.z[1] + hit.e[2] * t.z[2];
-  const bool front = (w > 0) == (hit.e[0] + hit.e[1] + hit.e[2] > 0) && w != 0;
-  if (!front) return false;
-  hit.zw = z / w;
-  return hit.zw >= -1 && hit.zw <= 1;
+  return inside(t, hit.e) && depth_at(t, hit.e, hit.zw);
 }
 
 /// Whether a hit hides what a pixel shows so far: the nearest wins, at equal depth the lower index,
@@ -214,33 +235,38 @@ TT3D_HD bool hides(double depth, int64_t face, double shown_depth, int64_t shown
   return depth < shown_depth || (depth == shown_depth && face < shown_face);
 }
 
-/// Backward of one pixel's (u,v): adds to grad[3][4], the gradients of the triangle's vertices.
-/// With p' = p.xy - P p.w and a_k = cross of the other two p', u = a_0/sum a, v = a_1/sum a.
-TT3D_HD void rasterize_backward(const ClipTriangle& triangle, double px, double py, double grad_u,
-                                double grad_v, double grad[3][4]) {
-  double x[3], y[3];
+/// The numbers of a triangle that its pixels' gradients depend on. (Value: see `least`.)
+template <typename Value>
+struct FlatTriangle {
+  Value x[3], y[3], w[3];
+};
+
+/// Backward of one pixel's (u,v): sets grad[3][4], the gradients of the triangle's vertices but for
+/// those of z, which are 0. With p' = p.xy - P p.w and a_k = cross of the other two p',
+/// u = a_0/sum a, v = a_1/sum a.
+template <typename Value>
+TT3D_HD void rasterize_backward(const FlatTriangle<Value>& t, const Value& px, const Value& py,
+                                const Value& grad_u, const Value& grad_v, Value grad[3][4]) {
+  Value x[3], y[3];
   for (int k = 0; k < 3; ++k) {
-    x[k] = triangle.corner[k].x - px * triangle.corner[k].w;
-    y[k] = triangle.corner[k].y - py * triangle.corner[k].w;
+    x[k] = t.x[k] - px * t.w[k];
+    y[k] = t.y[k] - py * t.w[k];
   }
-  double a[3];
+  Value a[3];
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3, j = (k + 2) % 3;
     a[k] = x[i] * y[j] - x[j] * y[i];
   }
-  const double sum = a[0] + a[1] + a[2];
-  if (sum == 0) return;
-  const double inverse = 1 / sum;
-  const double mean = (grad_u * a[0] + grad_v * a[1]) * inverse;
-  const double grad_a[3] = {(grad_u - mean) * inverse, (grad_v - mean) * inverse, -mean * inverse};
+  const Value sum = a[0] + a[1] + a[2], one = sum * 0 + 1;
+  const Value inverse = sum == 0 ? sum : one / sum;
+  const Value mean = (grad_u * a[0] + grad_v * a[1]) * inverse;
+  const Value grad_a[3] = {(grad_u - mean) * inverse, (grad_v - mean) * inverse, -mean * inverse};
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3, j = (k + 2) % 3;
     // Vertex k enters a_j = cross(p_k, p_i) and a_i = cross(p_j, p_k).
-    const double gx = grad_a[j] * y[i] - grad_a[i] * y[j];
-    const double gy = grad_a[i] * x[j] - grad_a[j] * x[i];
-    grad[k][0] += gx;
-    grad[k][1] += gy;
-    grad[k][3] -= px * gx + py * gy;
+    grad[k][0] = grad_a[j] * y[i] - grad_a[i] * y[j];
+    grad[k][1] = grad_a[i] * x[j] - grad_a[j] * x[i];
+    grad[k][3] = -(px * grad[k][0] + py * grad[k][1]);
   }
 }
 
@@ -258,16 +284,19 @@ struct RasterizeBackwardPixel {
     if (face < 0) return;
     const PixelPlace at = place_of(i, s);
     const int64_t first = at.view * s.vertices * 4;
-    double grad[3][4] = {};
-    rasterize_backward(load_triangle(clip + first, faces + 3 * face), pixel_x(at.column, s.width),
-                       pixel_y(at.row, s.height), static_cast<double>(grad_rast[4 * i]),
-                       static_cast<double>(grad_rast[4 * i + 1]), grad);
-    add(face, grad, grad_clip + first);
-  }
-  /// Adds the gradients of a triangle's vertices to those of the view.
-  TT3D_HD void add(int64_t face, const double grad[3][4], T* sums) const {
+    const ClipTriangle v = load_triangle(clip + first, faces + 3 * face);
+    FlatTriangle<double> t;
     for (int k = 0; k < 3; ++k) {
-      T* out = sums + static_cast<int64_t>(faces[3 * face + k]) * 4;
+      t.x[k] = v.corner[k].x;
+      t.y[k] = v.corner[k].y;
+      t.w[k] = v.corner[k].w;
+    }
+    double grad[3][4] = {};
+    rasterize_backward(t, pixel_x(at.column, s.width), pixel_y(at.row, s.height),
+                       static_cast<double>(grad_rast[4 * i]),
+                       static_cast<double>(grad_rast[4 * i + 1]), grad);
+    for (int k = 0; k < 3; ++k) {
+      T* out = grad_clip + first + static_cast<int64_t>(faces[3 * face + k]) * 4;
       for (int c = 0; c < 4; ++c) accumulate(out + c, static_cast<T>(grad[k][c]));
     }
   }

@@ -66,6 +66,48 @@ struct MipChain {
   int64_t count;
 };
 
+/// Where texel i of the coarser of two levels lies in the finer one: its upper left texel.
+template <typename T>
+TT3D_HD int64_t first_of_four(const MipLevel<T>& fine, int64_t i) {
+  const int64_t width = fine.width / 2, row = i / width;
+  return 2 * row * fine.width + 2 * (i - row * width);
+}
+
+/// Body: texel i of a level is the mean of four of the finer one.
+template <typename T>
+struct HalveTexel {
+  MipLevel<T> fine;
+  T* coarse;
+  int64_t channels;
+  TT3D_HD void operator()(int64_t i) const {
+    const T* above = fine.texels + first_of_four(fine, i) * channels;
+    const T* below = above + fine.width * channels;
+    for (int64_t c = 0; c < channels; ++c) {
+      coarse[i * channels + c] =
+          T(0.25) * (above[c] + above[channels + c] + below[c] + below[channels + c]);
+    }
+  }
+};
+
+/// Body: spreads the gradient of texel i of a level over the four that it averaged.
+template <typename T>
+struct FoldTexel {
+  MipLevel<T> fine;
+  const T* coarse_grad;
+  int64_t channels;
+  TT3D_HD void operator()(int64_t i) const {
+    T* above = fine.grad + first_of_four(fine, i) * channels;
+    T* below = above + fine.width * channels;
+    for (int64_t c = 0; c < channels; ++c) {
+      const T share = T(0.25) * coarse_grad[i * channels + c];
+      above[c] += share;
+      above[channels + c] += share;
+      below[c] += share;
+      below[channels + c] += share;
+    }
+  }
+};
+
 /// The two levels of a look-up and the share of the coarser one.
 struct LevelBlend {
   int64_t fine, coarse;
@@ -83,6 +125,7 @@ TT3D_HD LevelBlend blend_levels(const MipChain<T>& levels, const T* derivatives,
   return {fine, coarse, level - static_cast<double>(fine)};
 }
 
+/// Writes every pixel.
 template <typename T>
 struct TexturePixel {
   MipChain<T> levels;
@@ -91,7 +134,10 @@ struct TexturePixel {
   const T* rast;
   T* out;
   Sizes s;
-  TT3D_HD void operator()(int64_t i) const {
+  TT3D_HD void operator()(int64_t i) const { write(i, s.channels); }
+  TT3D_HD void write(int64_t i, int64_t channels) const {
+    T* to = out + i * channels;
+    for (int64_t c = 0; c < channels; ++c) to[c] = 0;
     if (rast[4 * i + 3] == T(0)) return;
     const LevelBlend blend = blend_levels(levels, derivatives, i);
     for (int pass = 0; pass < 2; ++pass) {
@@ -103,9 +149,8 @@ struct TexturePixel {
                        level.height, level.width);
       for (int k = 0; k < 4; ++k) {
         const T weight = static_cast<T>(share * f.weight[k]);
-        for (int64_t c = 0; c < s.channels; ++c) {
-          out[i * s.channels + c] += weight * level.texels[f.texel[k] * s.channels + c];
-        }
+        const T* texel = level.texels + f.texel[k] * channels;
+        for (int64_t c = 0; c < channels; ++c) to[c] += weight * texel[c];
       }
     }
   }
@@ -121,7 +166,8 @@ struct TextureBackwardPixel {
   const T* grad_out;
   T* grad_uv;  ///< may be null
   Sizes s;
-  TT3D_HD void operator()(int64_t i) const {
+  TT3D_HD void operator()(int64_t i) const { spread(i, s.channels); }
+  TT3D_HD void spread(int64_t i, int64_t channels) const {
     if (rast[4 * i + 3] == T(0)) return;
     const LevelBlend blend = blend_levels(levels, derivatives, i);
     double du = 0, dv = 0;
@@ -133,10 +179,11 @@ struct TextureBackwardPixel {
           footprint_of(static_cast<double>(uv[2 * i]), static_cast<double>(uv[2 * i + 1]),
                        level.height, level.width);
       for (int k = 0; k < 4; ++k) {
-        const int64_t first = f.texel[k] * s.channels;
-        if (level.grad) add_texel(level.grad + first, i, share * f.weight[k]);
+        const int64_t first = f.texel[k] * channels;
+        const T* g = grad_out + i * channels;
+        if (level.grad) add_texel(level.grad + first, g, channels, share * f.weight[k]);
         if (!grad_uv) continue;
-        const double along = share * along_texel(level.texels + first, i);
+        const double along = share * along_texel(level.texels + first, g, channels);
         du += along * f.du[k];
         dv += along * f.dv[k];
       }
@@ -146,18 +193,17 @@ struct TextureBackwardPixel {
     grad_uv[2 * i + 1] = static_cast<T>(dv);
   }
 
-  TT3D_HD void add_texel(T* grad, int64_t i, double weight) const {
-    for (int64_t c = 0; c < s.channels; ++c) {
-      const auto g = static_cast<double>(grad_out[i * s.channels + c]);
-      accumulate(grad + c, static_cast<T>(g * weight));
+  TT3D_HD static void add_texel(T* grad, const T* g, int64_t channels, double weight) {
+    for (int64_t c = 0; c < channels; ++c) {
+      accumulate(grad + c, static_cast<T>(static_cast<double>(g[c]) * weight));
     }
   }
 
   /// The pixel's gradient along a texel's colour.
-  TT3D_HD double along_texel(const T* texel, int64_t i) const {
+  TT3D_HD static double along_texel(const T* texel, const T* g, int64_t channels) {
     double sum = 0;
-    for (int64_t c = 0; c < s.channels; ++c) {
-      sum += static_cast<double>(grad_out[i * s.channels + c]) * static_cast<double>(texel[c]);
+    for (int64_t c = 0; c < channels; ++c) {
+      sum += static_cast<double>(g[c]) * static_cast<double>(texel[c]);
     }
     return sum;
   }
