@@ -38,13 +38,13 @@ OTHERS = (
 BETAS = (100, 1000, 10000)
 
 #: Views a step: the program's default, and where the preset has another.
-VIEWS_A_STEP = {"strong": 1}
+VIEWS_A_STEP = {"strong": 3}
 #: Presets that show a picture to one of the surrogates, not to all (attack.ensemble = views).
 DEALING = ("strong",)
 #: How many times as often as one surrogate several may be asked, all together.
 ENSEMBLE_SHARE = 2
 #: The same where an architecture is left out; the plain attack that it is held to asks 13 times.
-LEFT_OUT_SHARE = 2
+LEFT_OUT_SHARE = 4
 #: Do attacks settle, and does more of the same overfit? These on one object, with more pictures.
 LONGER = ("dual", "mesh")
 LONGER_SHARE = 4

@@ -104,8 +104,8 @@ void triplanar(AttackOptions& o) {
 /// of them, so that there are more views, in small steps. Give it several surrogates, and time.
 void strong(AttackOptions& o) {
   o.ensemble = "views";
-  o.views_per_step = 1;
-  o.steps = 4800;
+  o.views_per_step = 3;
+  o.steps = 1600;
 }
 
 constexpr const char* kTt3d = "Huang et al., TT3D, CVPR 2024";
