@@ -48,8 +48,8 @@ struct ProbeReport {
 /// the other pictures.
 struct FeatureMix {
   at::Tensor images;  ///< [N,3,H,W], the competitor of each picture
-  double probability =
-      0;                ///< with which a layer mixes: a convolution or a linear one, not the last
+  /// With which a layer mixes: a convolution or a linear one, all but the last.
+  double probability = 0;
   double share = 0.75;  ///< each channel of each picture takes U(0, share) of its competitor's
   uint64_t seed = 0, step = 0;  ///< key of the draws
 };
