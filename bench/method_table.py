@@ -1,7 +1,8 @@
 """The attacks of the literature at equal budgets: runs what is missing, writes docs/results.md.
 
     scripts/method-table [--presets NAME...] [--objects NAME...] [--tables NAME...]
-                         [--budget PASSES] [--out FOLDER] [--limit SECONDS] [--report-only]
+                         [--budget PASSES] [--out FOLDER] [--limit SECONDS] [--jobs COUNT]
+                         [--report-only]
 
 Each attack asks its surrogates equally often, all together; several twice as often as one. Objects
 are reconstructed once and shared. A finished attack is read, not run again, and an interrupted one
@@ -11,7 +12,9 @@ sections of the page are renewed: after a change of one preset, the others' atta
 
 import argparse
 import json
+import os
 import time
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import method_report
@@ -67,23 +70,54 @@ class Table:
             word for key, value in settings.items() for word in ("--set", f"{key}={value}")
         ]
         self._tt3d("attack", folder, "--method", cell.method, "--target", cell.target,
-                   "--surrogate", *cell.surrogates, *assignments)  # fmt: skip
-        self._tt3d("bake", folder)
+                   "--surrogate", *cell.surrogates, *assignments, threads=1)  # fmt: skip
+        self._tt3d("bake", folder, threads=1)
         self._tt3d("evaluate", folder / "asset/adversarial.glb", "--clean",
                    folder / "asset/clean.glb", "--target", cell.target, "--true-class",
                    OBJECTS[cell.obj], "--victims", *VICTIMS, "--views", str(VIEWS),
-                   "--out", folder / RECORD)  # fmt: skip
+                   "--out", folder / RECORD, threads=1)  # fmt: skip
 
-    def _object(self, name: str) -> Path:
-        """Return the run folder with the object's mesh, made if it is missing."""
-        folder = self.out / "objects" / name
+    def prepare(self, name: str) -> None:
+        """Make the object's mesh if it is missing."""
+        folder = self._object(name)
         if not (folder / "mesh/mesh.safetensors").is_file():
             self._tt3d("fit", CAPTURES / name, "--out", folder, "--seed", str(SEED))
             self._tt3d("mesh", folder)
-        return folder
 
-    def _tt3d(self, *arguments: str | Path) -> None:
-        run_folders.tt3d(self.program, *arguments)
+    def _object(self, name: str) -> Path:
+        return self.out / "objects" / name
+
+    def _tt3d(self, *arguments: str | Path, threads: int = 0) -> None:
+        run_folders.tt3d(self.program, *arguments, threads=threads)
+
+
+def run_missing(table: Table, cells: list[Cell], jobs: int, limit: float) -> None:
+    """Run the cells that are not finished, `jobs` at once; begin none after `limit` seconds.
+
+    An attack runs on one thread: two side by side are done sooner than one after the other on two
+    threads each, and what they give does not depend on the machine's number of cores.
+    """
+    todo = [cell for cell in cells if not table.finished(cell)]
+    for obj in dict.fromkeys(cell.obj for cell in todo):
+        table.prepare(obj)
+    end = time.monotonic() + limit
+
+    def run(cell: Cell) -> None:
+        start = time.monotonic()
+        if start > end:
+            return
+        table.run(cell)
+        took = time.monotonic() - start
+        print(f"{todo.index(cell) + 1} of {len(todo)}: {cell.name}, {took:.0f} s", flush=True)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        attacks = [pool.submit(run, cell) for cell in todo]
+        try:
+            ended = wait(attacks, return_when=FIRST_EXCEPTION).done
+        finally:  # after a failure or Ctrl-C no further attack begins
+            pool.shutdown(wait=False, cancel_futures=True)
+    for attack in ended:
+        attack.result()
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -100,10 +134,14 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--page", type=Path, default=ROOT / "docs/results.md")
     parser.add_argument("--limit", type=float, default=float("inf"),
                         help="seconds after which no further attack is begun")  # fmt: skip
+    parser.add_argument("--jobs", type=int, default=min(os.cpu_count() or 1, 4),
+                        help="attacks at once, each on one thread")  # fmt: skip
     parser.add_argument("--report-only", action="store_true", help="run nothing, write the page")
     options = parser.parse_args()
     if options.budget < 100:
         parser.error("--budget: expected at least 100")
+    if options.jobs < 1:
+        parser.error("--jobs: expected at least 1")
     return options
 
 
@@ -113,16 +151,8 @@ def main() -> None:
     whole = plan(tuple(options.presets), tuple(options.objects))
     cells = [cell for cell in whole if cell.table in options.tables]
     table = Table(options.out.absolute(), options.program.absolute(), options.budget)
-    end = time.monotonic() + options.limit
-    for number, cell in enumerate(cells):
-        if options.report_only or time.monotonic() > end:
-            break
-        if table.finished(cell):
-            continue
-        print(f"{number + 1} of {len(cells)}: {cell.name}", flush=True)
-        start = time.monotonic()
-        table.run(cell)
-        print(f"  {time.monotonic() - start:.0f} s", flush=True)
+    if not options.report_only:
+        run_missing(table, cells, options.jobs, options.limit)
     done = {cell: table.folder(cell) for cell in cells if table.finished(cell)}
     missing = [cell for cell in cells if cell not in done]
     page = method_report.page(done, missing, options.budget)

@@ -9,10 +9,12 @@ from pathlib import Path
 from method_plan import CAPTURES
 
 
-def tt3d(program: Path, *arguments: str | Path) -> None:
+def tt3d(program: Path, *arguments: str | Path, threads: int = 0) -> None:
     """Run the program quietly, with the shared models to be found; fail as it does."""
     models = f"{CAPTURES.parent / 'models'}:{os.environ.get('TT3D_MODELS', '')}"
-    subprocess.run([program, *map(str, arguments), "-q"], check=True, stdout=subprocess.DEVNULL,
+    share = ("--threads", str(threads)) if threads else ()
+    subprocess.run([program, *map(str, arguments), "-q", *share], check=True,
+                   stdout=subprocess.DEVNULL,
                    env={**os.environ, "TT3D_MODELS": models})  # fmt: skip
 
 

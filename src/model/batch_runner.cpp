@@ -144,10 +144,12 @@ at::Tensor BatchRunner::run(const Pictures& pictures, MemoryMeter& meter) {
   std::optional<FeatureMixer> mixer;
   if (pictures.mix) {
     mixer.emplace(*pictures.mix, pictures.first);
+    // Nothing of this run is kept for backward, so it does not count in the pictures' own.
+    MemoryMeter passing(memory_budget(limit_), false);
     const at::NoGradGuard none;
     const int64_t first = pictures.first;
     static_cast<void>(run_graph(
-        graph, filled_up(pictures.mix->images.slice(0, first, first + count)), meter, &*mixer));
+        graph, filled_up(pictures.mix->images.slice(0, first, first + count)), passing, &*mixer));
     mixer->begin_mixing();
   }
   at::Tensor logits = run_graph(graph, images, meter, mixer ? &*mixer : nullptr);

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ np = pytest.importorskip("numpy")
 
 import method_report  # noqa: E402
 from method_plan import ARCHITECTURES, METHODS, OBJECTS, OTHERS, Cell, plan  # noqa: E402
-from method_table import Table  # noqa: E402
+from method_table import Table, run_missing  # noqa: E402
 
 ALL = (METHODS + OTHERS, tuple(OBJECTS))
 
@@ -54,6 +55,44 @@ def test_another_budget_is_another_attack(tmp_path: Path) -> None:
     finish(table.folder(cell), dict.fromkeys(method_report.VICTIMS, 0.5))
     assert table.finished(cell)
     assert not Table(tmp_path, tmp_path / "tt3d", 600).finished(cell)
+
+
+class Recorded(Table):
+    """A table that notes what it is told to run, each attack beside another; `bad` fails."""
+
+    def __init__(self, out: Path, together: int, bad: Cell | None = None) -> None:
+        super().__init__(out, out / "tt3d", 1200)
+        self.prepared: list[str] = []
+        self.attacked: list[Cell] = []
+        self.together, self.bad = threading.Barrier(together, timeout=20), bad
+
+    def prepare(self, name: str) -> None:
+        self.prepared.append(name)
+
+    def run(self, cell: Cell) -> None:
+        if cell == self.bad:
+            raise RuntimeError(cell.name)
+        self.together.wait()
+        self.attacked.append(cell)
+
+
+def test_attacks_run_side_by_side_after_their_objects_were_made_once(tmp_path: Path) -> None:
+    cells = plan(("dual", "texture"), ("chicken", "siamese-cat"))[:4]
+    table = Recorded(tmp_path, together=2)  # alone, an attack would wait in vain
+    run_missing(table, cells, jobs=2, limit=60)
+    assert sorted(c.name for c in table.attacked) == sorted(c.name for c in cells)
+    assert table.prepared == list(dict.fromkeys(c.obj for c in cells))
+
+
+def test_no_attack_begins_after_a_failure_or_the_limit(tmp_path: Path) -> None:
+    cells = plan(("dual", "texture"), ("chicken", "siamese-cat"))[:4]
+    failing = Recorded(tmp_path, together=1, bad=cells[1])
+    with pytest.raises(RuntimeError, match=cells[1].name):
+        run_missing(failing, cells, jobs=1, limit=60)
+    assert failing.attacked[0] == cells[0] and cells[3] not in failing.attacked
+    late = Recorded(tmp_path, together=1)
+    run_missing(late, cells, jobs=2, limit=-1)
+    assert late.attacked == []
 
 
 def test_surrogates_are_asked_equally_often_by_all_methods_of_a_table() -> None:
