@@ -44,7 +44,7 @@ DEALING = ("strong",)
 #: How many times as often as one surrogate several may be asked, all together.
 ENSEMBLE_SHARE = 2
 #: The same where an architecture is left out; the plain attack that it is held to asks 13 times.
-LEFT_OUT_SHARE = 4
+LEFT_OUT_SHARE = 6
 #: Do attacks settle, and does more of the same overfit? These on one object, with more pictures.
 LONGER = ("dual", "mesh")
 LONGER_SHARE = 4

@@ -105,7 +105,8 @@ void triplanar(AttackOptions& o) {
 void strong(AttackOptions& o) {
   o.ensemble = "views";
   o.views_per_step = 3;
-  o.steps = 1600;
+  o.steps = 2400;
+  o.appearance_rate = 2e-2;
 }
 
 constexpr const char* kTt3d = "Huang et al., TT3D, CVPR 2024";
