@@ -13,8 +13,9 @@ sections of the page are renewed: after a change of one preset, the others' atta
 import argparse
 import json
 import os
+import threading
 import time
-from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import method_report
@@ -101,23 +102,27 @@ def run_missing(table: Table, cells: list[Cell], jobs: int, limit: float) -> Non
     for obj in dict.fromkeys(cell.obj for cell in todo):
         table.prepare(obj)
     end = time.monotonic() + limit
+    stopped = threading.Event()  # by a failure or Ctrl-C: no further attack begins
 
     def run(cell: Cell) -> None:
         start = time.monotonic()
-        if start > end:
+        if start > end or stopped.is_set():
             return
-        table.run(cell)
+        try:
+            table.run(cell)
+        except BaseException:
+            stopped.set()
+            raise
         took = time.monotonic() - start
         print(f"{todo.index(cell) + 1} of {len(todo)}: {cell.name}, {took:.0f} s", flush=True)
 
     with ThreadPoolExecutor(jobs) as pool:
         attacks = [pool.submit(run, cell) for cell in todo]
         try:
-            ended = wait(attacks, return_when=FIRST_EXCEPTION).done
-        finally:  # after a failure or Ctrl-C no further attack begins
-            pool.shutdown(wait=False, cancel_futures=True)
-    for attack in ended:
-        attack.result()
+            for attack in attacks:
+                attack.result()
+        finally:
+            stopped.set()
 
 
 def parse_arguments() -> argparse.Namespace:

@@ -89,7 +89,7 @@ def test_no_attack_begins_after_a_failure_or_the_limit(tmp_path: Path) -> None:
     failing = Recorded(tmp_path, together=1, bad=cells[1])
     with pytest.raises(RuntimeError, match=cells[1].name):
         run_missing(failing, cells, jobs=1, limit=60)
-    assert failing.attacked[0] == cells[0] and cells[3] not in failing.attacked
+    assert failing.attacked == cells[:1]
     late = Recorded(tmp_path, together=1)
     run_missing(late, cells, jobs=2, limit=-1)
     assert late.attacked == []
