@@ -25,6 +25,9 @@ TT3D_HD Relative relative_to(const T* clip, int32_t vertex, double px, double py
 
 TT3D_HD double cross(const Relative& p, const Relative& q) { return p.x * q.y - p.y * q.x; }
 
+/// The view of face i of all views. (A division costs as much as the rest of a face.)
+TT3D_HD int64_t view_of_face(int64_t i, const Sizes& s) { return i < s.faces ? 0 : i / s.faces; }
+
 /// Body: which way face i (of all views) is turned, 1 where its vertices go counter-clockwise. The
 /// determinant of its clip positions without z has the sign of its area on the screen, also where
 /// vertices are behind the camera (Olano & Greer 1997).
@@ -35,7 +38,7 @@ struct FacingFace {
   uint8_t* facing;  ///< [N,F]
   Sizes s;
   TT3D_HD void operator()(int64_t i) const {
-    const int64_t view = i / s.faces;
+    const int64_t view = view_of_face(i, s);
     const int32_t* triangle = faces + 3 * (i - view * s.faces);
     const T* points = clip + view * s.vertices * 4;
     const ClipVertex a = load_vertex(points, triangle[0]);
@@ -56,7 +59,7 @@ struct SilhouetteEdges {
   uint8_t* edges;         ///< [N,F]
   Sizes s;
   TT3D_HD void operator()(int64_t i) const {
-    const int64_t first = i / s.faces * s.faces, face = i - first;
+    const int64_t first = view_of_face(i, s) * s.faces, face = i - first;
     unsigned bits = 0;
     for (int k = 0; k < 3; ++k) {
       const int32_t twin = twins[3 * face + k];

@@ -9,9 +9,12 @@
 
 namespace tt3d::raster {
 
+/// Least pixels that are worth a thread.
+constexpr int64_t kPixelsATask = 1024;
+
 /// Calls visit(channels) with a number that the compiler knows where it is a usual one.
 template <typename Visit>
-void with_channels(int64_t channels, const Visit& visit) {
+TT3D_HD void with_channels(int64_t channels, const Visit& visit) {
   switch (channels) {
     case 2:
       return visit(std::integral_constant<int64_t, 2>());
@@ -23,6 +26,9 @@ void with_channels(int64_t channels, const Visit& visit) {
       return visit(channels);
   }
 }
+
+/// Of a function object within a loop: so that it is compiled for the loop's processor.
+#define TT3D_INLINE __attribute__((always_inline))
 
 /// Adds to sums that pixels share: of each group (say, a view) `rows` rows of `length` numbers.
 /// Calls add(group, first, last, sums) for parts of each group's pixels. All but a group's first
@@ -51,9 +57,14 @@ void scatter_in_parts(int64_t groups, int64_t pixels, int64_t rows, int64_t leng
   });
   if (parts == 1) return;
   at::parallel_for(0, groups * count, 1 << 14, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) {
-      const T* other = others.get() + (i / count) * (parts - 1) * count + i % count;
-      for (int64_t part = 1; part < parts; ++part) sums[i] += other[(part - 1) * count];
+    for (int64_t group = begin / count; group * count < end; ++group) {
+      const int64_t first = std::max<int64_t>(begin - group * count, 0);
+      const int64_t last = std::min(end - group * count, count);
+      T* out = sums + group * count;
+      const T* other = others.get() + group * (parts - 1) * count;
+      for (int64_t part = 1; part < parts; ++part, other += count) {
+        for (int64_t i = first; i < last; ++i) out[i] += other[i];
+      }
     }
   });
 }

@@ -34,11 +34,24 @@ void draw_tiles(const Cuda& on, const T* clip, const int32_t* faces, const int64
 template <typename T>
 void for_each_pixel(const Cpu&, const InterpolatePixel<T>& body);
 template <typename T>
+void for_each_pixel(const Cpu&, const AttributeDerivativesPixel<T>& body);
+template <typename T>
 void for_each_pixel(const Cpu&, const TexturePixel<T>& body);
 
 template <typename Body>
 void for_each_pixel(const Cuda& on, const Body& body) {
   for_each_index(on, body.s.pixels(), body);
+}
+
+// Bodies whose texels are independent.
+template <typename T>
+void for_each_texel(const Cpu&, const HalveTexel<T>& body);
+template <typename T>
+void for_each_texel(const Cpu&, const FoldTexel<T>& body);
+
+template <typename Body>
+void for_each_texel(const Cuda& on, const Body& body) {
+  for_each_index(on, body.count(), body);
 }
 
 // Bodies that add to sums which pixels share: in pixel order here, in any order on the GPU.

@@ -215,7 +215,7 @@ std::vector<Tensor> mipmaps(const Tensor& texture, bool with_levels) {
     TT3D_DISPATCH(fine, "halve_texture", [&] {
       const raster::HalveTexel<scalar_t> body = {level_of<scalar_t>(fine, Tensor()),
                                                  coarse.mutable_data_ptr<scalar_t>(), channels};
-      for_each_index_on(fine, height * width, body);
+      on_device_of(fine, [&](const auto& on) { raster::for_each_texel(on, body); });
     });
     chain.push_back(coarse);
   }
@@ -229,7 +229,7 @@ void fold_mipmap_gradients(const std::vector<Tensor>& chain, const std::vector<T
     TT3D_DISPATCH(coarse, "fold_texture", [&] {
       const raster::FoldTexel<scalar_t> body = {level_of<scalar_t>(chain[i - 1], grads[i - 1]),
                                                 coarse.const_data_ptr<scalar_t>(), coarse.size(2)};
-      for_each_index_on(coarse, coarse.size(0) * coarse.size(1), body);
+      on_device_of(coarse, [&](const auto& on) { raster::for_each_texel(on, body); });
     });
   }
 }
@@ -330,14 +330,14 @@ Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
   const Tensor rast = rast_in.detach().contiguous(), clip = clip_in.detach().contiguous();
   const int64_t channels = attributes.size(1);
   Tensor out =
-      at::zeros({rast.size(0), rast.size(1), rast.size(2), 2 * channels}, attributes.options());
+      at::empty({rast.size(0), rast.size(1), rast.size(2), 2 * channels}, attributes.options());
   const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
   TT3D_DISPATCH(out, "attribute_derivatives", [&] {
     const raster::AttributeDerivativesPixel<scalar_t> body = {
         attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
         clip.const_data_ptr<scalar_t>(),       faces.const_data_ptr<int32_t>(),
         out.mutable_data_ptr<scalar_t>(),      s};
-    for_each_index_on(out, s.pixels(), body);
+    on_device_of(out, [&](const auto& on) { raster::for_each_pixel(on, body); });
   });
   return out;
 }

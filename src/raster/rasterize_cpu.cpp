@@ -19,69 +19,107 @@ struct Band {
   int y_begin, y_end;
 };
 
-/// Neighbouring pixels of a row that are tested at once.
-constexpr int kLanes = 4;
-typedef double Lanes __attribute__((vector_size(kLanes * sizeof(double))));
-typedef int64_t LaneMask __attribute__((vector_size(kLanes * sizeof(int64_t))));
-typedef int8_t LaneBytes __attribute__((vector_size(kLanes)));
+/// Neighbouring pixels that are tested at once: most triangles of a fine mesh fit into one or two
+/// such blocks. A vector is a row of one. (Vectors of two rows would be slower: the compiler knows
+/// no vector longer than four doubles when it takes their operators apart.)
+constexpr int kColumns = 4, kRows = 2;
+typedef double Lanes __attribute__((vector_size(kColumns * sizeof(double))));
+typedef int64_t LaneMask __attribute__((vector_size(kColumns * sizeof(int64_t))));
+typedef int8_t LaneBytes __attribute__((vector_size(kColumns)));
+constexpr Lanes kColumnOfLane = {0, 1, 2, 3};
 
-/// A byte for each of the first `count` lanes, that of lane 0 lowest; 0 where the mask is.
-TT3D_HD uint32_t bytes_of(const LaneMask& mask, int count) {
-  static_assert(kLanes == sizeof(uint32_t));
-  const LaneBytes bytes = __builtin_convertvector(mask, LaneBytes);
-  uint32_t word;
-  std::memcpy(&word, &bytes, sizeof word);
-  return count < kLanes ? word & ((1U << (8 * count)) - 1) : word;
-}
+/// The values of a triangle's functions in a row of a block.
+struct RowValues {
+  Lanes e[3], zw;
+};
 
-/// The lanes in which a triangle is the nearest so far, as bytes_of. Triangles come in order: at
-/// equal depth the lower index stays.
-TT3D_HD uint32_t shown_lanes(const TriangleSetup& t, const Lanes e[3], const double* depth,
-                             int count, Lanes& zw) {
-  Lanes shown;
-  std::memcpy(&shown, depth, sizeof shown);
-  const LaneMask nearer = depth_at(t, e, zw) & (zw < shown);
-  uint32_t lanes = bytes_of(strictly_inside(e) & nearer, count);
-  for (uint32_t ties = bytes_of(on_an_edge(e) & nearer, count); ties != 0; ties &= ties - 1) {
-    const int i = __builtin_ctz(ties);
-    const double at[3] = {e[0][i / 8], e[1][i / 8], e[2][i / 8]};
-    if (inside(t, at)) lanes |= 1U << i;
+/// The lowest bit of each byte.
+constexpr uint64_t kOneEach = 0x0101010101010101;
+
+/// A byte for each lane of both rows, 0 or 255: lane 0 of the first row is the lowest.
+TT3D_HD uint64_t bytes_of(const LaneMask (&rows)[kRows]) {
+  uint32_t words[kRows];
+  static_assert(sizeof(LaneBytes) == sizeof(uint32_t));
+  for (int r = 0; r < kRows; ++r) {
+    const LaneBytes bytes = __builtin_convertvector(rows[r], LaneBytes);
+    std::memcpy(&words[r], &bytes, sizeof words[r]);
   }
-  return lanes;
+  return words[0] | static_cast<uint64_t>(words[1]) << 32;
 }
 
-/// Draws a triangle in a row's lanes. depth and out: of the first one's pixel.
+/// The lanes of a block's first columns and rows, as bytes_of.
+TT3D_HD uint64_t first_lanes(int columns, int rows) {
+  const uint64_t row = columns < kColumns ? (1ULL << (8 * columns)) - 1 : 0xFFFFFFFF;
+  return rows < kRows ? row : row | row << 32;
+}
+
+/// Which of a block's lanes lie inside a triangle, as bytes_of.
+TT3D_HD uint64_t inside_lanes(const TriangleSetup& t, const RowValues (&row)[kRows],
+                              uint64_t lanes) {
+  LaneMask within[kRows], tied[kRows];
+  for (int r = 0; r < kRows; ++r) {
+    const Lanes smallest = least(row[r].e[0], row[r].e[1], row[r].e[2]);
+    within[r] = smallest > 0;
+    tied[r] = smallest == 0;
+  }
+  uint64_t found = bytes_of(within) & lanes;
+  for (uint64_t ties = bytes_of(tied) & lanes & kOneEach; ties != 0; ties &= ties - 1) {
+    const int bit = __builtin_ctzll(ties), r = bit / 32, i = bit % 32 / 8;
+    const double at[3] = {row[r].e[0][i], row[r].e[1][i], row[r].e[2][i]};
+    if (inside(t, at)) found |= 1ULL << bit;
+  }
+  return found;
+}
+
+/// Draws a triangle in the lanes of a block. depth and out: of its first pixel. Triangles come in
+/// order: at equal depth the lower index stays.
 template <typename T>
-TT3D_HD void draw_lanes(const TriangleSetup& t, int64_t face, int count, const Lanes e[3],
-                        double* depth, T* out) {
-  Lanes zw;
-  uint32_t left = shown_lanes(t, e, depth, count, zw);
+TT3D_HD void draw_block(const TriangleSetup& t, int64_t face, int64_t width, uint64_t lanes,
+                        const RowValues (&row)[kRows], double* depth, T* out) {
+  LaneMask nearer[kRows];
+  for (int r = 0; r < kRows; ++r) {
+    Lanes shown;
+    std::memcpy(&shown, depth + r * width, sizeof shown);
+    nearer[r] = in_depth(row[r].zw) & (row[r].zw < shown);
+  }
+  uint64_t left = inside_lanes(t, row, lanes & bytes_of(nearer)) & kOneEach;
   if (left == 0) return;
-  const Lanes scale = 1 / (e[0] + e[1] + e[2]);
-  const Lanes u = e[0] * scale, v = e[1] * scale;
-  for (int i = 0; left != 0; ++i, left >>= 8) {
-    if ((left & 0xFF) == 0) continue;
-    depth[i] = zw[i];
-    out[4 * i] = static_cast<T>(u[i]);
-    out[4 * i + 1] = static_cast<T>(v[i]);
-    out[4 * i + 2] = static_cast<T>(zw[i]);
-    out[4 * i + 3] = static_cast<T>(face + 1);
+  Lanes u[kRows], v[kRows];
+  for (int r = 0; r < kRows; ++r) {
+    const Lanes scale = 1 / (row[r].e[0] + row[r].e[1] + row[r].e[2]);
+    u[r] = row[r].e[0] * scale;
+    v[r] = row[r].e[1] * scale;
+  }
+  const T number = static_cast<T>(face + 1);
+  for (; left != 0; left &= left - 1) {
+    const int bit = __builtin_ctzll(left), r = bit / 32, i = bit % 32 / 8;
+    const int64_t pixel = r * width + i;
+    depth[pixel] = row[r].zw[i];
+    T* to = out + 4 * pixel;
+    to[0] = static_cast<T>(u[r][i]);
+    to[1] = static_cast<T>(v[r][i]);
+    to[2] = static_cast<T>(row[r].zw[i]);
+    to[3] = number;
   }
 }
 
 template <typename T>
 TT3D_HD void draw_triangle(const TriangleSetup& t, int64_t face, const Sizes& s,
                            const Band<T>& band) {
-  for (int x = t.x_begin; x < t.x_end; x += kLanes) {
-    Lanes px, of_column[3];
-    for (int i = 0; i < kLanes; ++i) px[i] = pixel_x(x + i, s.width);
+  for (int x = t.x_begin; x < t.x_end; x += kColumns) {
+    const Lanes px = pixel_x(x + kColumnOfLane, s.width);
+    Lanes of_column[4];
     for (int k = 0; k < 3; ++k) of_column[k] = t.edge[k].of_column(px);
-    for (int y = t.y_begin; y < t.y_end; ++y) {
-      const double py = pixel_y(y, s.height);
-      Lanes e[3];
-      for (int k = 0; k < 3; ++k) e[k] = of_column[k] + t.edge[k].of_row(py);
-      draw_lanes(t, face, t.x_end - x, e, band.depth + (y - band.y_begin) * s.width + x,
-                 band.rast + 4 * (y * s.width + x));
+    of_column[3] = t.depth.of_column(px);
+    for (int y = t.y_begin; y < t.y_end; y += kRows) {
+      RowValues row[kRows];
+      for (int r = 0; r < kRows; ++r) {
+        const double py = pixel_y(y + r, s.height);
+        for (int k = 0; k < 3; ++k) row[r].e[k] = of_column[k] + t.edge[k].of_row(py);
+        row[r].zw = of_column[3] + t.depth.of_row(py);
+      }
+      draw_block(t, face, s.width, first_lanes(t.x_end - x, t.y_end - y), row,
+                 band.depth + (y - band.y_begin) * s.width + x, band.rast + 4 * (y * s.width + x));
     }
   }
 }
@@ -89,92 +127,50 @@ TT3D_HD void draw_triangle(const TriangleSetup& t, int64_t face, const Sizes& s,
 /// All triangles of a view, in order: neighbours in a mesh are neighbours on the screen, so the
 /// band stays in the cache without sorting triangles into tiles first.
 template <typename T>
-TT3D_HD void draw_band(const T* clip, const int32_t* faces, const ScreenPoint* points,
+TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* points,
                        const Sizes& s, const Band<T>& band) {
   TriangleSetup setup;
   for (int64_t f = 0; f < s.faces; ++f) {
     const int32_t* face = faces + 3 * f;
-    if (!set_bounds(points[face[0]], points[face[1]], points[face[2]], s.height, s.width, setup)) {
+    if (!set_bounds(points[face[0]], points[face[1]], points[face[2]], setup)) {
       continue;
     }
     setup.y_begin = std::max(setup.y_begin, band.y_begin);
     setup.y_end = std::min(setup.y_end, band.y_end);
-    if (setup.y_begin >= setup.y_end) continue;
-    set_edges(clip, face, setup);
+    if (setup.y_begin >= setup.y_end || !set_functions(clip, face, setup)) continue;
     draw_triangle(setup, f, s, band);
   }
 }
-
-/// Pixels whose gradients are computed at once.
-template <typename T>
-struct LanePixels {
-  FlatTriangle<Lanes> triangle;
-  Lanes px, py, grad_u, grad_v;
-  T* out[kLanes][3];  ///< where the vertices' gradients go
-
-  TT3D_HD void set(int lane, const RasterizeBackwardPixel<T>& body, int64_t view, int64_t pixel,
-                   T* sums) {
-    const Sizes& s = body.s;
-    const int64_t i = view * s.height * s.width + pixel;
-    const int32_t* face = body.faces + 3 * (static_cast<int64_t>(body.rast[4 * i + 3]) - 1);
-    const T* clip = body.clip + view * s.vertices * 4;
-    for (int k = 0; k < 3; ++k) {
-      const T* p = clip + static_cast<int64_t>(face[k]) * 4;
-      triangle.x[k][lane] = static_cast<double>(p[0]);
-      triangle.y[k][lane] = static_cast<double>(p[1]);
-      triangle.w[k][lane] = static_cast<double>(p[3]);
-      out[lane][k] = sums + static_cast<int64_t>(face[k]) * 4;
-    }
-    px[lane] = pixel_x(pixel % s.width, s.width);
-    py[lane] = pixel_y(pixel / s.width, s.height);
-    grad_u[lane] = static_cast<double>(body.grad_rast[4 * i]);
-    grad_v[lane] = static_cast<double>(body.grad_rast[4 * i + 1]);
-  }
-
-  /// Adds the gradients of the first `count` lanes.
-  TT3D_HD void add(int count) const {
-    Lanes grad[3][4] = {};
-    rasterize_backward(triangle, px, py, grad_u, grad_v, grad);
-    for (int lane = 0; lane < count; ++lane) {
-      for (int k = 0; k < 3; ++k) {
-        for (int c = 0; c < 4; ++c) out[lane][k][c] += static_cast<T>(grad[k][c][lane]);
-      }
-    }
-  }
-};
 
 /// Adds the gradients of pixels [first,last) of a view to its vertices' sums, in their order.
 template <typename T>
 TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, int64_t first,
                            int64_t last, T* sums) {
-  const int64_t offset = 4 * view * body.s.height * body.s.width;
-  LanePixels<T> pixels = {};
-  int count = 0;
-  for (int64_t i = first; i < last; ++i) {
-    const T* grad = body.grad_rast + offset + 4 * i;
-    if (body.rast[offset + 4 * i + 3] == 0 || (grad[0] == 0 && grad[1] == 0)) continue;
-    pixels.set(count++, body, view, i, sums);
-    if (count < kLanes) continue;
-    pixels.add(kLanes);
-    count = 0;
+  const int64_t offset = view * body.s.height * body.s.width;
+  const T* clip = body.clip + view * body.s.vertices * 4;
+  for (int64_t y = first / body.s.width; y * body.s.width < last; ++y) {
+    const int64_t row = y * body.s.width, end = std::min(last - row, body.s.width);
+    const double py = pixel_y(y, body.s.height);
+    for (int64_t x = std::max<int64_t>(first - row, 0); x < end; ++x) {
+      body.spread(offset + row + x, pixel_x(x, body.s.width), py, clip, sums);
+    }
   }
-  pixels.add(count);
 }
 
 // target_clones needs plain functions.
-#define TT3D_RASTERIZE_LOOPS(T)                                                                \
-  TT3D_CPU_LOOP void draw_loop(const T* clip, const int32_t* faces, const ScreenPoint* points, \
-                               const Sizes& s, const Band<T>& band) {                          \
-    draw_band(clip, faces, points, s, band);                                                   \
-  }                                                                                            \
-  TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, ScreenPoint* points) {          \
-    for (int64_t v = 0; v < s.vertices; ++v) {                                                 \
-      points[v] = screen_point(load_vertex(clip, v), s.height, s.width);                       \
-    }                                                                                          \
-  }                                                                                            \
-  TT3D_CPU_LOOP void spread_loop(const RasterizeBackwardPixel<T>& body, int64_t view,          \
-                                 int64_t first, int64_t last, T* sums) {                       \
-    spread_pixels(body, view, first, last, sums);                                              \
+#define TT3D_RASTERIZE_LOOPS(T)                                                                 \
+  TT3D_CPU_LOOP void draw_loop(const T* clip, const int32_t* faces, const VertexBounds* points, \
+                               const Sizes& s, const Band<T>& band) {                           \
+    draw_band(clip, faces, points, s, band);                                                    \
+  }                                                                                             \
+  TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, VertexBounds* points) {          \
+    for (int64_t v = 0; v < s.vertices; ++v) {                                                  \
+      points[v] = vertex_bounds(load_vertex(clip, v), s.height, s.width);                       \
+    }                                                                                           \
+  }                                                                                             \
+  TT3D_CPU_LOOP void spread_loop(const RasterizeBackwardPixel<T>& body, int64_t view,           \
+                                 int64_t first, int64_t last, T* sums) {                        \
+    spread_pixels(body, view, first, last, sums);                                               \
   }
 TT3D_RASTERIZE_LOOPS(float)
 TT3D_RASTERIZE_LOOPS(double)
@@ -184,11 +180,11 @@ TT3D_RASTERIZE_LOOPS(double)
 template <typename T>
 void draw_rows(const T* clip, const int32_t* faces, T* rast, int64_t y_begin, int64_t y_end,
                const Sizes& s) {
-  // Lanes read beyond a row's end.
-  std::vector<double> depth((y_end - y_begin) * s.width + kLanes,
+  // Blocks read beyond a row's end, and one row further.
+  std::vector<double> depth((y_end - y_begin + 1) * s.width + kColumns,
                             std::numeric_limits<double>::infinity());
   // A vertex is shared by six triangles or so.
-  const auto points = std::make_unique_for_overwrite<ScreenPoint[]>(s.vertices);
+  const auto points = std::make_unique_for_overwrite<VertexBounds[]>(s.vertices);
   place_loop(clip, s, points.get());
   draw_loop(clip, faces, points.get(), s,
             {rast, depth.data(), static_cast<int>(y_begin), static_cast<int>(y_end)});

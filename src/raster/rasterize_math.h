@@ -46,9 +46,10 @@ TT3D_HD ClipTriangle load_triangle(const T* clip, const int32_t* face) {
   return {{load_vertex(clip, face[0]), load_vertex(clip, face[1]), load_vertex(clip, face[2])}};
 }
 
-/// Edge function e(px,py) = a px + b py + c of the directed edge through two clip vertices;
-/// positive to its left. Doubles, because the terms cancel almost completely on small triangles.
-struct EdgeFunction {
+/// A linear function a px + b py + c of the place on the screen. Of the directed edge through two
+/// clip vertices it is positive to the left. Doubles, because the terms cancel almost completely on
+/// small triangles.
+struct ScreenFunction {
   double a, b, c;
   /// Its two parts, so that a column and a row of pixels need each once; the value is their sum.
   template <typename Value>
@@ -66,31 +67,33 @@ struct EdgeFunction {
   }
 };
 
-/// The edge from vertex `i` to `j`, computed in order of their indices so that both triangles at
-/// the edge see the same bits up to the sign.
-TT3D_HD EdgeFunction edge_function(const ClipVertex& vi, const ClipVertex& vj, int32_t i,
-                                   int32_t j) {
-  const bool swap = i > j;
-  const ClipVertex& p = swap ? vj : vi;
-  const ClipVertex& q = swap ? vi : vj;
-  const double sign = swap ? -1.0 : 1.0;
-  // cross(p - P p.w, q - P q.w) expanded in the pixel P.
-  return {sign * (p.y * q.w - p.w * q.y), sign * (p.w * q.x - p.x * q.w),
-          sign * (p.x * q.y - p.y * q.x)};
+/// The edge from p to q: cross(p - P p.w, q - P q.w) expanded in the pixel P. Where products are
+/// rounded before they are subtracted (no fused multiply-adds), the edge from q to p is exactly its
+/// negative, so that both triangles at an edge see the same bits up to the sign.
+TT3D_HD ScreenFunction edge_function(const ClipVertex& p, const ClipVertex& q) {
+  return {p.y * q.w - p.w * q.y, p.w * q.x - p.x * q.w, p.x * q.y - p.y * q.x};
+}
+
+/// The edges of a triangle, edge k opposite vertex k.
+TT3D_HD void edges_of(const ClipTriangle& v, ScreenFunction edge[3]) {
+  for (int k = 0; k < 3; ++k) edge[k] = edge_function(v.corner[(k + 1) % 3], v.corner[(k + 2) % 3]);
 }
 
 /// What a triangle needs to be tested at pixels.
 struct TriangleSetup {
-  EdgeFunction edge[3];  ///< edge k is opposite vertex k
-  double z[3], w[3];
+  ScreenFunction edge[3];              ///< edge k is opposite vertex k; positive inside
+  ScreenFunction depth;                ///< z/w, which is linear on the screen
   int x_begin, x_end, y_begin, y_end;  ///< pixel range that can be covered
 };
 
-/// Coordinate of pixel column c in normalised device coordinates.
-TT3D_HD double pixel_x(int64_t c, int64_t width) {
+/// Coordinate of pixel column c in normalised device coordinates. (Value: double, or on the CPU a
+/// vector of them.)
+template <typename Value>
+TT3D_HD Value pixel_x(const Value& c, int64_t width) {
   const double inverse = 1.0 / static_cast<double>(width);  // once a loop, not once a pixel
-  return (2.0 * static_cast<double>(c) + 1.0) * inverse - 1.0;
+  return (2.0 * c + 1.0) * inverse - 1.0;
 }
+TT3D_HD double pixel_x(int64_t c, int64_t width) { return pixel_x(static_cast<double>(c), width); }
 
 /// Coordinate of pixel row r, row 0 at the top (y = +1).
 TT3D_HD double pixel_y(int64_t r, int64_t height) {
@@ -114,7 +117,7 @@ TT3D_HD int pixel_past(double value, int64_t limit) {
                                              : static_cast<int>(value) + 1;
 }
 
-/// Value: double, or on the CPU a vector of them.
+/// Value: a number, or on the CPU a vector of them.
 template <typename Value>
 TT3D_HD Value least(const Value& a, const Value& b, const Value& c) {
   const Value ab = a < b ? a : b;
@@ -127,60 +130,69 @@ TT3D_HD Value greatest(const Value& a, const Value& b, const Value& c) {
   return ab > c ? ab : c;
 }
 
-/// Where a vertex lies in the picture, in pixels (that of row and column 0 having its centre at 0).
-struct ScreenPoint {
-  double x, y;
-  bool in_front;  ///< of the camera; otherwise there is no place
+/// The pixels [begin,past) that a vertex allows its triangles in x and y: a triangle's range is
+/// that from the least begin to the greatest past. All of them where it is behind the camera.
+struct VertexBounds {
+  int x_begin, y_begin, x_past, y_past;
+  bool in_front;  ///< of the camera
 };
 
-TT3D_HD ScreenPoint screen_point(const ClipVertex& v, int64_t height, int64_t width) {
-  if (!(v.w > 0)) return {0, 0, false};
-  const double inverse = 1 / v.w;
-  return {(v.x * inverse + 1) * (0.5 * static_cast<double>(width)) - 0.5,
-          (1 - v.y * inverse) * (0.5 * static_cast<double>(height)) - 0.5, true};
-}
-
-/// Pixel range of a triangle, the whole picture when a vertex is behind the camera; false when it
-/// is empty.
-TT3D_HD bool set_bounds(const ScreenPoint& p, const ScreenPoint& q, const ScreenPoint& r,
-                        int64_t height, int64_t width, TriangleSetup& setup) {
-  setup.x_begin = 0;
-  setup.y_begin = 0;
-  setup.x_end = static_cast<int>(width);
-  setup.y_end = static_cast<int>(height);
-  if (!(p.in_front && q.in_front && r.in_front)) return p.in_front || q.in_front || r.in_front;
+TT3D_HD VertexBounds vertex_bounds(const ClipVertex& v, int64_t height, int64_t width) {
+  if (!(v.w > 0)) return {0, 0, static_cast<int>(width), static_cast<int>(height), false};
   // A margin covers rounding, the edge functions decide.
   constexpr double kMargin = 1e-6;
-  setup.x_begin = pixel_from(least(p.x, q.x, r.x) - kMargin, width);
-  setup.x_end = pixel_past(greatest(p.x, q.x, r.x) + kMargin, width);
-  setup.y_begin = pixel_from(least(p.y, q.y, r.y) - kMargin, height);
-  setup.y_end = pixel_past(greatest(p.y, q.y, r.y) + kMargin, height);
-  return setup.x_begin < setup.x_end && setup.y_begin < setup.y_end;
+  const double inverse = 1 / v.w;
+  const double x = (v.x * inverse + 1) * (0.5 * static_cast<double>(width)) - 0.5;
+  const double y = (1 - v.y * inverse) * (0.5 * static_cast<double>(height)) - 0.5;
+  return {pixel_from(x - kMargin, width), pixel_from(y - kMargin, height),
+          pixel_past(x + kMargin, width), pixel_past(y + kMargin, height), true};
 }
 
-/// Prepares the edges of a triangle whose bounds are set.
+/// Sets the pixel range of a triangle; false when it is empty.
+TT3D_HD bool set_bounds(const VertexBounds& p, const VertexBounds& q, const VertexBounds& r,
+                        TriangleSetup& setup) {
+  setup.x_begin = least(p.x_begin, q.x_begin, r.x_begin);
+  setup.y_begin = least(p.y_begin, q.y_begin, r.y_begin);
+  setup.x_end = greatest(p.x_past, q.x_past, r.x_past);
+  setup.y_end = greatest(p.y_past, q.y_past, r.y_past);
+  return setup.x_begin < setup.x_end && setup.y_begin < setup.y_end &&
+         (p.in_front || q.in_front || r.in_front);
+}
+
+/// Prepares a triangle whose bounds are set. False when its area on the screen is 0 or not finite.
 template <typename T>
-TT3D_HD void set_edges(const T* clip, const int32_t* face, TriangleSetup& setup) {
+TT3D_HD bool set_functions(const T* clip, const int32_t* face, TriangleSetup& setup) {
   const ClipTriangle v = load_triangle(clip, face);
+  ScreenFunction* e = setup.edge;
+  edges_of(v, e);
+  // In homogeneous coordinates sum_k e_k(P) (x_k,y_k,w_k) = determinant (P,1) at every place P
+  // (Olano & Greer 1997), so sum_k e_k z_k / determinant is z/w; and with the determinant's sign
+  // all e_k are positive inside, where the surface is before the camera.
+  const double determinant =
+      e[0].c * v.corner[0].w + e[1].c * v.corner[1].w + e[2].c * v.corner[2].w;
+  if (!(determinant != 0 && determinant - determinant == 0)) return false;
+  const double side = determinant > 0 ? 1.0 : -1.0;
+  const double inverse = 1 / determinant;
+  setup.depth = {0, 0, 0};
   for (int k = 0; k < 3; ++k) {
-    const int i = (k + 1) % 3;
-    const int j = (k + 2) % 3;
-    setup.edge[k] = edge_function(v.corner[i], v.corner[j], face[i], face[j]);
-    setup.z[k] = v.corner[k].z;
-    setup.w[k] = v.corner[k].w;
+    const double share = v.corner[k].z * inverse;
+    setup.depth.a += e[k].a * share;
+    setup.depth.b += e[k].b * share;
+    setup.depth.c += e[k].c * share;
+    e[k] = {side * e[k].a, side * e[k].b, side * e[k].c};
   }
+  return true;
 }
 
 /// Prepares a triangle for the whole picture. False when it cannot cover a pixel (behind the
-/// camera, no pixel centre within its bounds, not finite).
+/// camera, no pixel centre within its bounds, no area, not finite).
 template <typename T>
 TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, int64_t width,
                             TriangleSetup& setup) {
-  ScreenPoint at[3];
-  for (int k = 0; k < 3; ++k) at[k] = screen_point(load_vertex(clip, face[k]), height, width);
-  if (!set_bounds(at[0], at[1], at[2], height, width, setup)) return false;
-  set_edges(clip, face, setup);
-  return true;
+  VertexBounds at[3];
+  for (int k = 0; k < 3; ++k) at[k] = vertex_bounds(load_vertex(clip, face[k]), height, width);
+  if (!set_bounds(at[0], at[1], at[2], setup)) return false;
+  return set_functions(clip, face, setup);
 }
 
 /// A covered pixel: the edge functions' values there, and the depth z/w.
@@ -191,42 +203,28 @@ struct Hit {
   [[nodiscard]] TT3D_HD double scale() const { return 1 / (e[0] + e[1] + e[2]); }
 };
 
-/// Whether the pixel at which the edge functions have values e lies inside: strictly on the same
-/// side of all edges. (Value: see `least`; hence no branches here and in `depth_at`.)
-template <typename Value>
-TT3D_HD auto strictly_inside(const Value e[3]) {
-  return (least(e[0], e[1], e[2]) > 0) | (greatest(e[0], e[1], e[2]) < 0);
-}
-
-/// Whether it lies on an edge, so that `inside` has to break a tie.
-template <typename Value>
-TT3D_HD auto on_an_edge(const Value e[3]) {
-  return (e[0] == 0) | (e[1] == 0) | (e[2] == 0);
-}
-
-/// Whether it lies inside.
+/// Whether the pixel at which the edge functions have values e lies inside.
 TT3D_HD bool inside(const TriangleSetup& t, const double e[3]) {
-  if (strictly_inside(e)) return true;
-  if (!on_an_edge(e)) return false;
-  const int side = t.edge[0].sign_at(e[0]);
-  return side != 0 && t.edge[1].sign_at(e[1]) == side && t.edge[2].sign_at(e[2]) == side &&
-         e[0] + e[1] + e[2] != 0;
+  const double smallest = least(e[0], e[1], e[2]);
+  if (smallest != 0) return smallest > 0;
+  for (int k = 0; k < 3; ++k) {
+    if (t.edge[k].sign_at(e[k]) <= 0) return false;
+  }
+  return e[0] + e[1] + e[2] != 0;
 }
 
-/// The depth of a hit; false when it is behind the camera or beyond the near or far plane.
+/// Whether a depth z/w lies between the near and the far plane. (Value: see pixel_x; hence no
+/// branches.)
 template <typename Value>
-TT3D_HD auto depth_at(const TriangleSetup& t, const Value e[3], Value& zw) {
-  // Both share the factor 1 / (e0 + e1 + e2), which the depth does not need.
-  const Value w = e[0] * t.w[0] + e[1] * t.w[1] + e[2] * t.w[2];
-  const Value z = e[0] * t.z[0] + e[1] * t.z[1] + e[2] * t.z[2];
-  zw = z / w;
-  return ((w > 0) == (e[0] + e[1] + e[2] > 0)) & (w != 0) & (zw >= -1) & (zw <= 1);
+TT3D_HD auto in_depth(const Value& zw) {
+  return (zw >= -1) & (zw <= 1);
 }
 
 /// Whether the triangle covers the pixel at (px,py), and where.
 TT3D_HD bool hit_triangle(const TriangleSetup& t, double px, double py, Hit& hit) {
   for (int k = 0; k < 3; ++k) hit.e[k] = t.edge[k].at(px, py);
-  return inside(t, hit.e) && depth_at(t, hit.e, hit.zw);
+  hit.zw = t.depth.at(px, py);
+  return inside(t, hit.e) && in_depth(hit.zw);
 }
 
 /// Whether a hit hides what a pixel shows so far: the nearest wins, at equal depth the lower index,
@@ -235,38 +233,57 @@ TT3D_HD bool hides(double depth, int64_t face, double shown_depth, int64_t shown
   return depth < shown_depth || (depth == shown_depth && face < shown_face);
 }
 
-/// The numbers of a triangle that its pixels' gradients depend on. (Value: see `least`.)
-template <typename Value>
-struct FlatTriangle {
-  Value x[3], y[3], w[3];
+/// Four numbers of a vertex in clip space.
+#ifdef __CUDACC__
+struct ClipRow {
+  double x, y, z, w;
 };
+TT3D_HD ClipRow operator-(const ClipRow& p, const ClipRow& q) {
+  return {p.x - q.x, p.y - q.y, p.z - q.z, p.w - q.w};
+}
+TT3D_HD ClipRow operator*(double s, const ClipRow& p) {
+  return {s * p.x, s * p.y, s * p.z, s * p.w};
+}
+template <typename T>
+TT3D_HD void accumulate_row(T* sum, const ClipRow& row) {
+  accumulate(sum, static_cast<T>(row.x));
+  accumulate(sum + 1, static_cast<T>(row.y));
+  accumulate(sum + 3, static_cast<T>(row.w));  // gradients of z are 0
+}
+#else
+typedef double ClipRow __attribute__((vector_size(4 * sizeof(double))));
+template <typename T>
+TT3D_HD void accumulate_row(T* sum, const ClipRow& row) {
+  typedef T Row __attribute__((vector_size(4 * sizeof(T)), aligned(sizeof(T)), may_alias));
+  *reinterpret_cast<Row*>(sum) += __builtin_convertvector(row, Row);
+}
+#endif
 
-/// Backward of one pixel's (u,v): sets grad[3][4], the gradients of the triangle's vertices but for
-/// those of z, which are 0. With p' = p.xy - P p.w and a_k = cross of the other two p',
-/// u = a_0/sum a, v = a_1/sum a.
-template <typename Value>
-TT3D_HD void rasterize_backward(const FlatTriangle<Value>& t, const Value& px, const Value& py,
-                                const Value& grad_u, const Value& grad_v, Value grad[3][4]) {
-  Value x[3], y[3];
+/// Backward of one pixel's (u,v): sets the gradients of the triangle's vertices (those of z are 0).
+/// With p' = p.xy - P p.w and a_k = cross of the other two p', u = a_0/sum a, v = a_1/sum a.
+TT3D_HD void rasterize_backward(const ClipTriangle& t, double px, double py, double grad_u,
+                                double grad_v, ClipRow grad[3]) {
+  double x[3], y[3];
   for (int k = 0; k < 3; ++k) {
-    x[k] = t.x[k] - px * t.w[k];
-    y[k] = t.y[k] - py * t.w[k];
+    x[k] = t.corner[k].x - px * t.corner[k].w;
+    y[k] = t.corner[k].y - py * t.corner[k].w;
   }
-  Value a[3];
+  double a[3];
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3, j = (k + 2) % 3;
     a[k] = x[i] * y[j] - x[j] * y[i];
   }
-  const Value sum = a[0] + a[1] + a[2], one = sum * 0 + 1;
-  const Value inverse = sum == 0 ? sum : one / sum;
-  const Value mean = (grad_u * a[0] + grad_v * a[1]) * inverse;
-  const Value grad_a[3] = {(grad_u - mean) * inverse, (grad_v - mean) * inverse, -mean * inverse};
+  const double sum = a[0] + a[1] + a[2];
+  const double inverse = sum == 0 ? 0 : 1 / sum;
+  const double mean = (grad_u * a[0] + grad_v * a[1]) * inverse;
+  const double grad_a[3] = {(grad_u - mean) * inverse, (grad_v - mean) * inverse, -mean * inverse};
+  // The derivative of cross(p', q') by p is turned[q].
+  ClipRow turned[3] = {};
+  for (int k = 0; k < 3; ++k) turned[k] = ClipRow{y[k], -x[k], 0, py * x[k] - px * y[k]};
   for (int k = 0; k < 3; ++k) {
     const int i = (k + 1) % 3, j = (k + 2) % 3;
     // Vertex k enters a_j = cross(p_k, p_i) and a_i = cross(p_j, p_k).
-    grad[k][0] = grad_a[j] * y[i] - grad_a[i] * y[j];
-    grad[k][1] = grad_a[i] * x[j] - grad_a[j] * x[i];
-    grad[k][3] = -(px * grad[k][0] + py * grad[k][1]);
+    grad[k] = grad_a[j] * turned[i] - grad_a[i] * turned[j];
   }
 }
 
@@ -280,51 +297,50 @@ struct RasterizeBackwardPixel {
   T* grad_clip;
   Sizes s;
   TT3D_HD void operator()(int64_t i) const {
-    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
-    if (face < 0) return;
     const PixelPlace at = place_of(i, s);
     const int64_t first = at.view * s.vertices * 4;
-    const ClipTriangle v = load_triangle(clip + first, faces + 3 * face);
-    FlatTriangle<double> t;
-    for (int k = 0; k < 3; ++k) {
-      t.x[k] = v.corner[k].x;
-      t.y[k] = v.corner[k].y;
-      t.w[k] = v.corner[k].w;
-    }
-    double grad[3][4] = {};
-    rasterize_backward(t, pixel_x(at.column, s.width), pixel_y(at.row, s.height),
-                       static_cast<double>(grad_rast[4 * i]),
-                       static_cast<double>(grad_rast[4 * i + 1]), grad);
-    for (int k = 0; k < 3; ++k) {
-      T* out = grad_clip + first + static_cast<int64_t>(faces[3 * face + k]) * 4;
-      for (int c = 0; c < 4; ++c) accumulate(out + c, static_cast<T>(grad[k][c]));
-    }
+    spread(i, pixel_x(at.column, s.width), pixel_y(at.row, s.height), clip + first,
+           grad_clip + first);
+  }
+  /// The pixel at (px,py), of a view whose vertices are `points` and their gradients `sums`.
+  TT3D_HD void spread(int64_t i, double px, double py, const T* points, T* sums) const {
+    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
+    const T grad_u = grad_rast[4 * i], grad_v = grad_rast[4 * i + 1];
+    if (face < 0 || (grad_u == 0 && grad_v == 0)) return;
+    const int32_t* corner = faces + 3 * face;
+    ClipRow grad[3];
+    rasterize_backward(load_triangle(points, corner), px, py, static_cast<double>(grad_u),
+                       static_cast<double>(grad_v), grad);
+    for (int k = 0; k < 3; ++k) accumulate_row(sums + static_cast<int64_t>(corner[k]) * 4, grad[k]);
   }
 };
 
+/// The numbers of a triangle that the derivatives of its (u,v) depend on.
+struct BarycentricSlopes {
+  ScreenFunction edge[2], sum;  ///< sum: of all three edges; u = edge[0] / sum
+};
+
+template <typename T>
+TT3D_HD BarycentricSlopes barycentric_slopes(const T* clip, const int32_t* face) {
+  ScreenFunction e[3];
+  edges_of(load_triangle(clip, face), e);
+  return {{e[0], e[1]},
+          {e[0].a + e[1].a + e[2].a, e[0].b + e[1].b + e[2].b, e[0].c + e[1].c + e[2].c}};
+}
+
 /// Derivatives of (u,v) with respect to the pixel's position, per pixel, y down.
 /// out = {du/dx, du/dy, dv/dx, dv/dy}.
-template <typename T>
-TT3D_HD void barycentric_derivatives(const T* clip, const int32_t* face, double px, double py,
+TT3D_HD void barycentric_derivatives(const BarycentricSlopes& t, double px, double py,
                                      int64_t height, int64_t width, double out[4]) {
-  EdgeFunction e[3];
-  double value[3];
-  for (int k = 0; k < 3; ++k) {
-    const int i = (k + 1) % 3, j = (k + 2) % 3;
-    e[k] = edge_function(load_vertex(clip, face[i]), load_vertex(clip, face[j]), face[i], face[j]);
-    value[k] = e[k].at(px, py);
-  }
-  const double sum = value[0] + value[1] + value[2];
-  const double sum_x = e[0].a + e[1].a + e[2].a;
-  const double sum_y = e[0].b + e[1].b + e[2].b;
   const double x_step = 2.0 / static_cast<double>(width);
   const double y_step = -2.0 / static_cast<double>(height);
+  const double sum = t.sum.at(px, py);
   const double inverse = sum != 0 ? 1.0 / sum : 0.0;
   for (int k = 0; k < 2; ++k) {
-    const double weight = value[k] * inverse;
+    const double weight = t.edge[k].at(px, py) * inverse;
     double* row = out + 2 * static_cast<int64_t>(k);
-    row[0] = (e[k].a - weight * sum_x) * inverse * x_step;
-    row[1] = (e[k].b - weight * sum_y) * inverse * y_step;
+    row[0] = (t.edge[k].a - weight * t.sum.a) * inverse * x_step;
+    row[1] = (t.edge[k].b - weight * t.sum.b) * inverse * y_step;
   }
 }
 

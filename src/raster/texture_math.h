@@ -66,44 +66,48 @@ struct MipChain {
   int64_t count;
 };
 
-/// Where texel i of the coarser of two levels lies in the finer one: its upper left texel.
-template <typename T>
-TT3D_HD int64_t first_of_four(const MipLevel<T>& fine, int64_t i) {
-  const int64_t width = fine.width / 2, row = i / width;
-  return 2 * row * fine.width + 2 * (i - row * width);
-}
-
-/// Body: texel i of a level is the mean of four of the finer one.
+/// Body: each texel of a level is the mean of four of the finer one.
 template <typename T>
 struct HalveTexel {
   MipLevel<T> fine;
   T* coarse;
   int64_t channels;
+  [[nodiscard]] TT3D_HD int64_t count() const { return (fine.height / 2) * (fine.width / 2); }
   TT3D_HD void operator()(int64_t i) const {
-    const T* above = fine.texels + first_of_four(fine, i) * channels;
-    const T* below = above + fine.width * channels;
-    for (int64_t c = 0; c < channels; ++c) {
-      coarse[i * channels + c] =
-          T(0.25) * (above[c] + above[channels + c] + below[c] + below[channels + c]);
+    const int64_t width = fine.width / 2, row = i / width;
+    texel(row, i - row * width, channels);
+  }
+  TT3D_HD void texel(int64_t row, int64_t column, int64_t length) const {
+    const T* above = fine.texels + 2 * (row * fine.width + column) * length;
+    const T* below = above + fine.width * length;
+    T* to = coarse + (row * (fine.width / 2) + column) * length;
+    for (int64_t c = 0; c < length; ++c) {
+      to[c] = T(0.25) * (above[c] + above[length + c] + below[c] + below[length + c]);
     }
   }
 };
 
-/// Body: spreads the gradient of texel i of a level over the four that it averaged.
+/// Body: spreads the gradient of each texel of a level over the four that it averaged.
 template <typename T>
 struct FoldTexel {
   MipLevel<T> fine;
   const T* coarse_grad;
   int64_t channels;
+  [[nodiscard]] TT3D_HD int64_t count() const { return (fine.height / 2) * (fine.width / 2); }
   TT3D_HD void operator()(int64_t i) const {
-    T* above = fine.grad + first_of_four(fine, i) * channels;
-    T* below = above + fine.width * channels;
-    for (int64_t c = 0; c < channels; ++c) {
-      const T share = T(0.25) * coarse_grad[i * channels + c];
+    const int64_t width = fine.width / 2, row = i / width;
+    texel(row, i - row * width, channels);
+  }
+  TT3D_HD void texel(int64_t row, int64_t column, int64_t length) const {
+    T* above = fine.grad + 2 * (row * fine.width + column) * length;
+    T* below = above + fine.width * length;
+    const T* from = coarse_grad + (row * (fine.width / 2) + column) * length;
+    for (int64_t c = 0; c < length; ++c) {
+      const T share = T(0.25) * from[c];
       above[c] += share;
-      above[channels + c] += share;
+      above[length + c] += share;
       below[c] += share;
-      below[channels + c] += share;
+      below[length + c] += share;
     }
   }
 };
