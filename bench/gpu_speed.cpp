@@ -10,7 +10,9 @@
 #include "support/shapes.h"
 #include "tt3d/attack.h"
 #include "tt3d/device.h"
+#include "tt3d/gpu_options.h"
 #include "tt3d/mesh.h"
+#include "tt3d/model.h"
 #include "tt3d/raster.h"
 
 // Times each operator, forward and backward, on the CPU and on the GPU, and prints rows of a
@@ -80,12 +82,13 @@ Case hash_case(int64_t points) {
   };
 }
 
-Case mlp_case(int64_t points) {
-  return [points](at::Device device) {
+Case mlp_case(int64_t points, bool half) {
+  return [points, half](at::Device device) {
     return both_ways({random({35, points}, -1, 1, 3, device), random({64, 35}, -1, 1, 4, device),
                       random({64, 64}, -1, 1, 5, device), random({6, 64}, -1, 1, 6, device)},
-                     [](const auto& in) {
-                       return mlp(in[0], {in[1], in[2], in[3]});
+                     [half](const auto& in) {
+                       const std::vector<Tensor> weights = {in[1], in[2], in[3]};
+                       return half ? half_mlp(in[0], weights) : mlp(in[0], weights);
                      });
   };
 }
@@ -140,11 +143,31 @@ Case transform_case(int64_t pictures) {
   };
 }
 
+Case classifier_case(const std::shared_ptr<Classifier>& model, int64_t pictures) {
+  return [model, pictures](at::Device device) {
+    const int64_t size = model->card().height;
+    return both_ways({random({pictures, 3, size, size}, 0, 1, 13, device)},
+                     [model](const auto& in) { return model->logits(in[0]); });
+  };
+}
+
+/// A classifier's passes launched one by one, and played as CUDA graphs.
+void print_classifier_rows(const std::string& name, int64_t pictures, at::Device gpu) {
+  const auto model = Classifier::load(name);
+  const Case work = classifier_case(model, pictures);
+  print_row(name, std::to_string(pictures) + " pictures", work, gpu);
+  use_gpu_options({.graphs = true});
+  print_row("the same, --cuda-graphs", std::to_string(pictures) + " pictures", work, gpu);
+  use_gpu_options({});
+}
+
 void measure(at::Device gpu) {
   std::printf(
       "| forward and backward | size | CPU ms | CUDA ms | ratio |\n|---|---|---|---|---|\n");
   print_row("hash encoding, 16 levels, F=2", "2^18 points", hash_case(1 << 18), gpu);
-  print_row("MLP 35-64-64-6", "2^18 points", mlp_case(1 << 18), gpu);
+  print_row("MLP 35-64-64-6", "2^18 points", mlp_case(1 << 18, false), gpu);
+  print_row("the same, --half-mlp (the CPU imitates it)", "2^18 points", mlp_case(1 << 18, true),
+            gpu);
   print_row("rasterize + interpolate + antialias", "32,768 faces, 400x400", render_case(6, 400),
             gpu);
   print_row("rasterize + interpolate + antialias", "524,288 faces, 2048x2048", render_case(8, 2048),
@@ -152,6 +175,7 @@ void measure(at::Device gpu) {
   print_row("texture with mipmaps, 2048x2048 texels", "1024x1024", texture_case(1024), gpu);
   print_row("Chamfer, every vertex searched", "16,386 vertices", chamfer_case(6), gpu);
   print_row("transforms of the attack", "8 pictures", transform_case(8), gpu);
+  print_classifier_rows("efficientnet_lite0", 6, gpu);
 }
 
 }  // namespace

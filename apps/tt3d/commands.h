@@ -8,6 +8,7 @@
 #include <string>
 
 #include "tt3d/core.h"
+#include "tt3d/gpu_options.h"
 
 /// The subcommands of the program. Each function registers one with a callback that does the
 /// work; errors leave as tt3d::Error and main() turns them into a line and an exit code.
@@ -17,6 +18,7 @@ namespace tt3d::cli {
 struct Common {
   std::string device = "auto";  ///< auto, cpu or cuda
   int threads = 0;              ///< 0: all
+  GpuOptions gpu;
   uint64_t seed = 0;
   bool json = false;  ///< print results as JSON on stdout
   int verbosity = 0;
@@ -25,7 +27,11 @@ struct Common {
 /// Adds --device, --threads, --seed, --json, -v and -q to a subcommand.
 void add_common_options(CLI::App& command, Common& common);
 
-/// Applies the threads and returns the device; throws InputError for one that is not there.
+/// Adds --half-mlp and --cuda-graphs to a subcommand that fits or attacks.
+void add_gpu_options(CLI::App& command, Common& common);
+
+/// Applies threads and GPU options and returns the device; throws InputError for one that is not
+/// there, and for options of a GPU on a CPU.
 at::Device apply_common(const Common& common);
 
 /// `tt3d model check|classify|list`.

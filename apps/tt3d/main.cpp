@@ -14,6 +14,7 @@
 #include <string>
 #include <system_error>
 #include <thread>
+#include <utility>
 
 #include "commands.h"
 #include "tt3d/core.h"
@@ -36,9 +37,25 @@ void add_common_options(CLI::App& command, Common& common) {
       "-q", [&common] { common.verbosity = -1; }, "no progress, no notes");
 }
 
+void add_gpu_options(CLI::App& command, Common& common) {
+  command.add_flag("--half-mlp", common.gpu.half_mlp,
+                   "with CUDA: the field's MLPs on tensor cores, factors in float16");
+  command.add_flag("--cuda-graphs", common.gpu.graphs,
+                   "with CUDA: record the classifiers' passes once and play them again");
+}
+
 at::Device apply_common(const Common& common) {
   if (common.threads > 0) at::set_num_threads(common.threads);
-  return device_named(common.device);
+  const at::Device device = device_named(common.device);
+  for (const auto& [asked, name] : {std::pair{common.gpu.half_mlp, "--half-mlp"},
+                                    std::pair{common.gpu.graphs, "--cuda-graphs"}}) {
+    if (asked && !device.is_cuda()) {
+      throw InputError(std::string(name) +
+                       " is for a GPU and this run is on the CPU; leave it out");
+    }
+  }
+  use_gpu_options(common.gpu);
+  return device;
 }
 
 namespace {

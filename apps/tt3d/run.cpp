@@ -182,6 +182,7 @@ CLI::App* stage_command(CLI::App& app, Common& common, Arguments& a, const std::
   command->add_option("RUN", a.run, "run folder")->required();
   command->add_option("--set", a.sets, "key=value of the configuration");
   add_common_options(*command, common);
+  add_gpu_options(*command, common);
   return command;
 }
 
@@ -195,6 +196,7 @@ void add_run_commands(CLI::App& app, Common& common) {
   all->add_option("--set", a->sets, "key=value, over the file's");
   all->add_flag("--restart", a->restart, "start over in a folder that holds a run");
   add_common_options(*all, common);
+  add_gpu_options(*all, common);
   all->callback([a, &common, all] { run_all(*a, common, *all); });
 
   CLI::App* field = app.add_subcommand("fit", "photographs to a radiance field");
@@ -203,6 +205,7 @@ void add_run_commands(CLI::App& app, Common& common) {
   field->add_option("--set", a->sets, "key=value of the configuration");
   field->add_flag("--restart", a->restart, "start over in a folder that holds a run");
   add_common_options(*field, common);
+  add_gpu_options(*field, common);
   field->callback([a, &common, field] { fit(*a, common, *field); });
 
   stage_command(app, common, *a, "mesh", "radiance field to a refined mesh")

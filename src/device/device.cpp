@@ -3,6 +3,7 @@
 #include <ATen/ATen.h>
 
 #include "tt3d/error.h"
+#include "tt3d/gpu_options.h"
 
 #ifdef TT3D_CUDA
 #include <c10/cuda/CUDAFunctions.h>
@@ -10,6 +11,12 @@
 #endif
 
 namespace tt3d {
+namespace {
+GpuOptions chosen;
+}  // namespace
+
+void use_gpu_options(const GpuOptions& options) { chosen = options; }
+const GpuOptions& gpu_options() { return chosen; }
 
 #ifdef TT3D_CUDA
 

@@ -5,12 +5,14 @@
 
 #include "composite_math.h"
 #include "field_kernels.h"
+#include "half_mlp_op.h"
 #include "march_math.h"
 #include "tt3d/device.h"
 #include "tt3d/field.h"
+#include "tt3d/gpu_options.h"
 
-// The only file of the room's kernels with torch: checks, allocation, autograd, choice of the
-// device.
+// With half_mlp_op.cpp the only file of the room's kernels with torch: checks, allocation,
+// autograd, choice of the device.
 namespace tt3d {
 namespace {
 
@@ -52,20 +54,24 @@ field::HashLevels kernel_levels(const HashGridShape& shape) {
 }
 
 struct HashEncode : public Function<HashEncode> {
+  /// `points`: rows of the points themselves before those of the encoding, 3 or 0.
   static Tensor forward(AutogradContext* ctx, const Tensor& x_in, const Tensor& table,
-                        const HashGridShape& shape) {
+                        const HashGridShape& shape, int64_t points) {
     const Tensor x = x_in.contiguous();
-    Tensor out = at::empty({shape.levels * shape.features, x.size(0)}, table.options());
+    const int64_t count = x.size(0);
+    Tensor out = at::empty({points + shape.levels * shape.features, count}, table.options());
+    if (points > 0) out.narrow(0, 0, points).copy_(x.t());
     const field::HashLevels levels = kernel_levels(shape);
     AT_DISPATCH_FLOATING_TYPES(table.scalar_type(), "hash_encode", [&] {
       on_device_of(table, [&](const auto& on) {
         field::hash_encode(on, x.const_data_ptr<scalar_t>(), table.const_data_ptr<scalar_t>(),
-                           out.mutable_data_ptr<scalar_t>(), x.size(0), levels, shape.features);
+                           out.mutable_data_ptr<scalar_t>() + points * count, count, levels,
+                           shape.features);
       });
     });
     ctx->save_for_backward({x, table});
-    ctx->saved_data["shape"] = std::vector<int64_t>{shape.levels, shape.base, shape.finest,
-                                                    shape.log2_size, shape.features};
+    ctx->saved_data["shape"] = std::vector<int64_t>{shape.levels,    shape.base,     shape.finest,
+                                                    shape.log2_size, shape.features, points};
     return out;
   }
   static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
@@ -74,11 +80,11 @@ struct HashEncode : public Function<HashEncode> {
     const auto s = ctx->saved_data["shape"].toIntVector();
     const HashGridShape shape{s[0], s[1], s[2], s[3], s[4]};
     const field::HashLevels levels = kernel_levels(shape);
-    const Tensor grad = grads[0].contiguous();
+    const Tensor grad = grads[0].contiguous(), grad_points = grad.narrow(0, 0, s[5]);
     Tensor grad_x, grad_table;
     AT_DISPATCH_FLOATING_TYPES(table.scalar_type(), "hash_encode_backward", [&] {
       const auto* points = x.const_data_ptr<scalar_t>();
-      const auto* g = grad.const_data_ptr<scalar_t>();
+      const auto* g = grad.const_data_ptr<scalar_t>() + grad_points.numel();
       if (ctx->needs_input_grad(1)) {
         grad_table = at::zeros_like(table);
         on_device_of(table, [&](const auto& on) {
@@ -93,9 +99,10 @@ struct HashEncode : public Function<HashEncode> {
                                              grad_x.mutable_data_ptr<scalar_t>(), x.size(0), levels,
                                              shape.features);
         });
+        if (grad_points.numel() > 0) grad_x += grad_points.t();
       }
     });
-    return {grad_x, grad_table, Tensor()};
+    return {grad_x, grad_table, Tensor(), Tensor()};
   }
 };
 
@@ -189,7 +196,7 @@ Tensor coarse_occupancy(const Tensor& occupied) {
   return out;
 }
 
-/// The GPU's layers are matrix products; autograd walks them back.
+/// The GPU's layers in float32 are matrix products; autograd walks them back.
 Tensor mlp_of_products(const Tensor& x, const std::vector<Tensor>& weights) {
   Tensor y = x;
   for (size_t k = 0; k < weights.size(); ++k) {
@@ -197,6 +204,17 @@ Tensor mlp_of_products(const Tensor& x, const std::vector<Tensor>& weights) {
     if (k + 1 < weights.size()) y = y.relu_();
   }
   return y;
+}
+
+void check_hash_encode(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
+  TORCH_CHECK(x.dim() == 2 && x.size(1) == 3, "x must be [P,3]");
+  TORCH_CHECK(shape.features == 1 || shape.features == 2, "features must be 1 or 2");
+  TORCH_CHECK(shape.levels >= 1 && shape.levels <= field::HashLevels::kMaxLevels,
+              "levels must be 1 to 32");
+  check_same_device("hash_encode", {x, table});
+  TORCH_CHECK(
+      table.is_contiguous() && table.size(0) == shape.entries() && table.size(1) == shape.features,
+      "table must be dense [entries, features]");
 }
 
 }  // namespace
@@ -207,23 +225,20 @@ int64_t HashGridShape::entries() const {
 }
 
 Tensor hash_encode(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
-  TORCH_CHECK(x.dim() == 2 && x.size(1) == 3, "x must be [P,3]");
-  TORCH_CHECK(shape.features == 1 || shape.features == 2, "features must be 1 or 2");
-  TORCH_CHECK(shape.levels >= 1 && shape.levels <= field::HashLevels::kMaxLevels,
-              "levels must be 1 to 32");
-  check_same_device("hash_encode", {x, table});
-  TORCH_CHECK(
-      table.is_contiguous() && table.size(0) == shape.entries() && table.size(1) == shape.features,
-      "table must be dense [entries, features]");
-  return HashEncode::apply(x, table, shape);
+  check_hash_encode(x, table, shape);
+  return HashEncode::apply(x, table, shape, 0);
+}
+
+Tensor encode_points(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
+  check_hash_encode(x, table, shape);
+  return HashEncode::apply(x, table, shape, 3);
 }
 
 Tensor mlp(const Tensor& x, const std::vector<Tensor>& weights) {
-  TORCH_CHECK(!weights.empty() && x.dim() == 2 && x.size(0) == weights[0].size(1),
-              "x must be [I,P] with I the first layer's inputs");
-  for (const Tensor& w : weights) check_same_device("mlp", {x, w});
-  if (x.is_cuda()) return mlp_of_products(x, weights);
-  return Mlp::apply(x, at::TensorList(weights));
+  field::check_mlp("mlp", x, weights);
+  if (!x.is_cuda()) return Mlp::apply(x, at::TensorList(weights));
+  if (gpu_options().half_mlp && field::half_mlp_fits(weights)) return half_mlp(x, weights);
+  return mlp_of_products(x, weights);
 }
 
 Tensor composite(const Tensor& densities, const Tensor& colors, const Tensor& steps,

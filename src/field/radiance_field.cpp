@@ -27,11 +27,6 @@ std::vector<Tensor> make_mlp(const std::vector<int64_t>& widths, uint64_t seed,
   return weights;
 }
 
-/// Points and their encoding stacked, as the MLPs read them: [3 + levels*features, P].
-Tensor encoded(const Tensor& x, const Tensor& grid, const HashGridShape& shape) {
-  return at::cat({x.t(), hash_encode(x, grid, shape)}, 0);
-}
-
 std::vector<int64_t> shape_numbers(const FieldShape& s) {
   return {s.geometry.levels,   s.geometry.base,   s.geometry.finest,   s.geometry.log2_size,
           s.appearance.levels, s.appearance.base, s.appearance.finest, s.appearance.log2_size,
@@ -60,7 +55,7 @@ const std::vector<std::string>& parameter_names() {
 }  // namespace
 
 Tensor GridMlp::features(const Tensor& x) const {
-  return mlp(encoded(x, grid, shape), color_mlp).sigmoid();
+  return mlp(encode_points(x, grid, shape), color_mlp).sigmoid();
 }
 
 Tensor GridMlp::color(const Tensor& x) const { return features(x).narrow(0, 0, 3); }
@@ -101,7 +96,7 @@ RadianceField RadianceField::create(const FieldShape& shape, uint64_t seed) {
 
 Tensor RadianceField::density(const Tensor& x) const {
   // exp of the clamped output, as the official code activates it.
-  return mlp(encoded(x, geometry_grid, shape.geometry), density_mlp)[0].clamp(-15, 15).exp();
+  return mlp(encode_points(x, geometry_grid, shape.geometry), density_mlp)[0].clamp(-15, 15).exp();
 }
 
 Tensor RadianceField::color(const Tensor& x, const Tensor& directions, bool with_specular,

@@ -12,6 +12,7 @@
 #include "malformed.h"
 #include "precision.h"
 #include "program.h"
+#include "tt3d/gpu_options.h"
 
 namespace tt3d::model {
 namespace {
@@ -77,6 +78,7 @@ at::Tensor BatchRunner::logits(const Pictures& pictures) {
 
 /// With gradients: everything that the batch needs for backward is kept.
 at::Tensor BatchRunner::whole(const Pictures& pictures) {
+  if (is_recorded(pictures)) return played_logits(recorded_pass(pictures.images), pictures.images);
   MemoryMeter meter(memory_budget(limit_), true);
   const int64_t total = pictures.images.size(0);
   if (total <= graph_.max_batch) return run(pictures, meter);
@@ -86,6 +88,32 @@ at::Tensor BatchRunner::whole(const Pictures& pictures) {
     parts.push_back(run(pictures.slice(start, end), meter));
   }
   return at::cat(parts, 0);
+}
+
+/// Features are mixed anew each time, so they cannot be played again.
+bool BatchRunner::is_recorded(const Pictures& pictures) const {
+  constexpr size_t kMostSizes = 4;  // each keeps the memory of its pass
+  const int64_t total = pictures.images.size(0);
+  return gpu_options().graphs && pictures.images.is_cuda() && !pictures.mix &&
+         total <= graph_.max_batch && (passes_.size() < kMostSizes || passes_.count(total) != 0);
+}
+
+std::shared_ptr<RecordedPass> BatchRunner::recorded_pass(const at::Tensor& images) {
+  static_cast<void>(graph_on(images.device()));  // forgets the passes of another device
+  const auto found = passes_.find(images.size(0));
+  if (found != passes_.end()) return found->second;
+  const auto forward = [this](const at::Tensor& batch) {
+    MemoryMeter meter(memory_budget(limit_), true);
+    return run({batch}, meter);
+  };
+  try {
+    const auto pass =
+        std::make_shared<RecordedPass>(cuda_graph_recorder(images.device()), forward, images);
+    passes_.emplace(images.size(0), pass);
+    return pass;
+  } catch (const Malformed& error) {
+    throw Malformed(std::string(error.what()) + "; leave out --cuda-graphs");
+  }
 }
 
 at::Tensor BatchRunner::gradient(const Pictures& pictures, const at::Tensor& gradient) {
@@ -165,6 +193,7 @@ at::Tensor BatchRunner::run(const Pictures& pictures, MemoryMeter& meter) {
 const Graph& BatchRunner::graph_on(at::Device device) {
   if (device.is_cpu()) return graph_;
   if (!moved_ || moved_device_ != device) {
+    passes_.clear();
     moved_ = graph_;
     moved_device_ = device;
     for (auto& [slot, tensor] : moved_->constants) tensor = tensor.to(device);

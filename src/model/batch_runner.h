@@ -3,11 +3,13 @@
 #include <ATen/core/Tensor.h>
 
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 
 #include "graph.h"
 #include "memory.h"
+#include "pass_recorder.h"
 #include "tt3d/model.h"
 
 namespace tt3d::model {
@@ -43,6 +45,8 @@ class BatchRunner : public std::enable_shared_from_this<BatchRunner> {
   using Part = std::function<at::Tensor(int64_t start, int64_t end)>;
 
   [[nodiscard]] at::Tensor whole(const Pictures& pictures);
+  [[nodiscard]] bool is_recorded(const Pictures& pictures) const;
+  [[nodiscard]] std::shared_ptr<RecordedPass> recorded_pass(const at::Tensor& images);
   [[nodiscard]] at::Tensor in_parts(int64_t total, int64_t& fitting, const Part& part) const;
   [[nodiscard]] at::Tensor filled_up(const at::Tensor& images) const;
   [[nodiscard]] at::Tensor run(const Pictures& pictures, MemoryMeter& meter);
@@ -55,6 +59,7 @@ class BatchRunner : public std::enable_shared_from_this<BatchRunner> {
   int64_t fitting_, fitting_with_gradient_;
   std::optional<Graph> moved_;
   at::Device moved_device_ = at::kCPU;
+  std::map<int64_t, std::shared_ptr<RecordedPass>> passes_;  ///< by batch size, on moved_device_
 };
 
 }  // namespace tt3d::model

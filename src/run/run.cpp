@@ -9,6 +9,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "tt3d/gpu_options.h"
 #include "tt3d/version.h"
 
 namespace tt3d {
@@ -55,6 +56,13 @@ json read_run_file(const fs::path& path) {
   } catch (const json::exception& error) {
     throw InputError(path, std::string("is not a run's record: ") + error.what());
   }
+}
+
+std::string described(at::Device device) {
+  std::string text = device.str();
+  if (gpu_options().half_mlp) text += ", half-precision MLPs";
+  if (gpu_options().graphs) text += ", CUDA graphs";
+  return text;
 }
 
 /// What later stages read of a stage: it is done where this is there.
@@ -141,7 +149,7 @@ void Run::save() const {
                   {"seed", config_.seed},
                   {"versions", {{"tt3d", kVersion}, {"torch", "2.11.0"}}},
                   {"threads", at::get_num_threads()},
-                  {"device", device_.str()},
+                  {"device", described(device_)},
                   {"inputs", input_hashes_},
                   {"stages", stages}};
   write_file_atomic(folder_ / kRunFile, j.dump(1) + "\n");

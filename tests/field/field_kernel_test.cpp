@@ -50,6 +50,22 @@ TEST(HashEncode, GradientsAgainstTensorReferenceAndCentralDifferences) {
   EXPECT_LT(gradient_error(loss, {x0.narrow(0, 0, 6), table0}, 1e-7), 1e-5);
 }
 
+TEST(HashEncode, PointsStackOnTheirEncoding) {
+  const HashGridShape shape = small_shape(2);
+  const Tensor x0 = uniform({50, 3}, -0.95, 0.95, 4);
+  const Tensor table0 = uniform({shape.entries(), 2}, -1, 1, 5);
+  const Tensor weight = uniform({11, 50}, -1, 1, 3);
+  std::vector<Tensor> results;
+  for (const bool fused : {true, false}) {
+    const Tensor x = x0.clone().requires_grad_(true), table = table0.clone().requires_grad_(true);
+    const Tensor y =
+        fused ? encode_points(x, table, shape) : at::cat({x.t(), hash_encode(x, table, shape)}, 0);
+    (y * weight).sum().backward();
+    results.insert(results.end(), {y.detach(), x.grad(), table.grad()});
+  }
+  for (size_t i = 0; i < 3; ++i) EXPECT_TRUE(at::equal(results[i], results[i + 3])) << i;
+}
+
 Tensor reference_mlp(Tensor x, const std::vector<Tensor>& weights) {
   for (size_t k = 0; k < weights.size(); ++k) {
     x = weights[k].matmul(x);

@@ -1,10 +1,13 @@
 #include <gtest/gtest.h>
+#include <torch/csrc/autograd/autograd.h>
 
 #include "attack/toy_attack.h"
 #include "gpu/both_devices.h"
 #include "support/stop_after.h"
 #include "support/temporary_folder.h"
 #include "tt3d/attack.h"
+#include "tt3d/gpu_options.h"
+#include "tt3d/model.h"
 
 namespace tt3d {
 namespace {
@@ -21,6 +24,41 @@ TEST_F(AttackOnGpu, TransformsAndTheirGradients) {
           return transform_images(in[0], 32, EotOptions{}, 1, step);
         },
         {testing::uniform({3, 4, 48, 48}, 0, 1, 5).to(at::kFloat)}, 1e-3);
+  }
+}
+
+/// The gradient of a weighted sum of the logits.
+Tensor picture_gradient(const Tensor& logits, const Tensor& pictures) {
+  const Tensor weight = at::linspace(-1, 1, logits.numel(), logits.options()).view_as(logits);
+  return torch::autograd::grad({(logits * weight).sum()}, {pictures})[0];
+}
+
+TEST_F(AttackOnGpu, ClassifiersPlayedAsCudaGraphsGiveTheSame) {
+  for (const char* name : {"toy_cnn", "toy_vit", "toy_norm"}) {
+    const auto model =
+        Classifier::load(std::string(TT3D_SOURCE_DIR "/tests/model/fixtures/") + name + ".pt2");
+    // Two batches at once, of two sizes, and again: recorded and played.
+    for (int round = 0; round < 2; ++round) {
+      for (const int64_t count : {4, 6}) {
+        std::vector<Tensor> batches, expected;
+        for (uint64_t k = 0; k < 2; ++k) {
+          batches.push_back(testing::uniform({count, 3, 16, 16}, 0, 1, 7 + k)
+                                .to(gpu, at::kFloat)
+                                .requires_grad_(true));
+          const Tensor logits = model->logits(batches.back());
+          expected.push_back(logits.detach());
+          expected.push_back(picture_gradient(logits, batches.back()));
+        }
+        use_gpu_options({.graphs = true});
+        const Tensor a = model->logits(batches[0]), b = model->logits(batches[1]);
+        const std::vector<Tensor> actual = {a.detach(), picture_gradient(a, batches[0]), b.detach(),
+                                            picture_gradient(b, batches[1])};
+        use_gpu_options({});
+        for (size_t i = 0; i < actual.size(); ++i) {
+          EXPECT_LE(testing::relative_difference(expected[i], actual[i]), 1e-5) << name << " " << i;
+        }
+      }
+    }
   }
 }
 

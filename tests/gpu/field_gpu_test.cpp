@@ -6,6 +6,7 @@
 #include "support/synthetic_capture.h"
 #include "support/temporary_folder.h"
 #include "tt3d/field.h"
+#include "tt3d/gpu_options.h"
 #include "tt3d/random_tensor.h"
 
 namespace tt3d {
@@ -72,6 +73,31 @@ TEST_F(FieldOnGpu, MlpAndItsGradients) {
                                         uniform({13, 19}, -1, 1, 7), uniform({3, 13}, -1, 1, 8)};
     expect_same("double", gpu, network, inputs, 1e-10);
   }
+}
+
+TEST_F(FieldOnGpu, HalfMlpRoundsAsOnTheCpu) {
+  for (const int64_t count : {1, 64, 1000, 70000}) {
+    const auto network = [](const auto& in) { return half_mlp(in[0], {in[1], in[2], in[3]}); };
+    std::vector<Tensor> inputs = {uniform({35, count}, -1, 1, 9), uniform({64, 35}, -0.3, 0.3, 6),
+                                  uniform({64, 64}, -0.3, 0.3, 7), uniform({6, 64}, -0.3, 0.3, 8)};
+    for (Tensor& t : inputs) t = t.to(at::kFloat);
+    // Sums in another order may round an activation the other way.
+    expect_same("half_mlp", gpu, network, inputs, 3e-3);
+  }
+}
+
+TEST_F(FieldOnGpu, HalfMlpsFitABallAsWell) {
+  const Capture capture = testing::ball_capture(24, 40);
+  FieldOptions o = small_options(gpu);
+  o.steps = 250;
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  use_gpu_options({.half_mlp = true});
+  const RadianceField f = fit_field(capture, o, 1, folder / "c.safetensors", quiet);
+  const double psnr = mean_psnr(
+      capture.test, [&](const Camera& c) { return render_field(f, c, ray_step(o)); }, quiet);
+  use_gpu_options({});
+  EXPECT_GT(psnr, 24);
 }
 
 TEST_F(FieldOnGpu, CompositeAndItsGradients) {

@@ -204,6 +204,13 @@ def test_no_texture_no_uvs_and_several_materials_are_drawn(tmp_path: Path) -> No
             assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.parametrize("option", ["--half-mlp", "--cuda-graphs"])
+def test_options_of_a_gpu_are_refused_on_a_cpu(tmp_path: Path, option: str) -> None:
+    out = tmp_path / "run"
+    one_line(limited(["fit", tmp_path, "--device", "cpu", option, "--out", out]), 2, option)
+    assert not out.exists()
+
+
 def test_a_run_folder_that_is_none(tmp_path: Path) -> None:
     one_line(limited(["report", tmp_path]), 2, "not a run folder")
     one_line(limited(["bake", tmp_path / "absent"]), 2, "absent")

@@ -35,10 +35,21 @@ struct HashGridShape {
 [[nodiscard]] at::Tensor hash_encode(const at::Tensor& x, const at::Tensor& table,
                                      const HashGridShape& shape);
 
+/// The points and their encoding stacked, as the field's MLPs read them: [3 + levels * features,
+/// P].
+[[nodiscard]] at::Tensor encode_points(const at::Tensor& x, const at::Tensor& table,
+                                       const HashGridShape& shape);
+
 /// A bias-free MLP with ReLU between layers and none at the end, fused layer to layer in cache
 /// blocks. x [I,P] (a row an input feature), weights[k] [O_k,I_k]. Returns [O,P].
 /// Differentiable with respect to x and weights.
 [[nodiscard]] at::Tensor mlp(const at::Tensor& x, const std::vector<at::Tensor>& weights);
+
+/// The same in mixed precision: factors rounded to float16, sums in float32, layers fused on tensor
+/// cores. Gradients are scaled on their way, so that small ones survive. float32 x and weights; at
+/// most 4 layers that fit in a GPU's shared memory together (three of 64 numbers take half of it).
+/// What `mlp` does on the GPU under GpuOptions::half_mlp; on the CPU the same roundings, slowly.
+[[nodiscard]] at::Tensor half_mlp(const at::Tensor& x, const std::vector<at::Tensor>& weights);
 
 /// Volume rendering (Max 1995): densities [S], colors [3,S], steps [S] (lengths), and
 /// ray_begin [R+1] int64, the samples of ray r being [ray_begin[r], ray_begin[r+1]).

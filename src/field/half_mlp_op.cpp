@@ -1,0 +1,131 @@
+#include "half_mlp_op.h"
+
+#include <ATen/ATen.h>
+#include <torch/csrc/autograd/custom_function.h>
+
+#include "half_mlp_math.h"
+#include "tt3d/device.h"
+#include "tt3d/field.h"
+
+// The networks in half precision: checks, allocation, scale of the gradients, autograd.
+namespace tt3d::field {
+namespace {
+
+using at::Tensor;
+using torch::autograd::AutogradContext;
+using torch::autograd::Function;
+using torch::autograd::variable_list;
+
+/// The network for the loops in half precision; false where a team's memory cannot hold it.
+bool network_of(const variable_list& weights, HalfNetwork& net) {
+  if (weights.size() > kMaxHalfLayers) return false;
+  net.count = static_cast<int>(weights.size());
+  for (size_t k = 0; k < weights.size(); ++k) {
+    const Tensor& w = weights[k];
+    if (w.scalar_type() != at::kFloat || w.numel() > kTeamBytes) return false;
+    net.layer[k] = {w.const_data_ptr<float>(), static_cast<int>(w.size(1)),
+                    static_cast<int>(w.size(0))};
+  }
+  HalfBuffers work;
+  return work.lay_out(net, true, kTeamWarps, nullptr) <= kTeamBytes;
+}
+
+int64_t teams_for(int64_t points) {
+  return std::min((points + kTeamPoints - 1) / kTeamPoints, kMaxTeams);
+}
+
+/// The weights' gradients out of the teams' sums [teams, tiles one after another].
+variable_list weight_gradients(const Tensor& sums, const variable_list& weights) {
+  variable_list gradients;
+  int64_t begin = 0;
+  for (const Tensor& w : weights) {
+    const int64_t rows = tiles_of(static_cast<int>(w.size(0)));
+    const int64_t columns = tiles_of(static_cast<int>(w.size(1)));
+    const int64_t numbers = rows * columns * kTile * kTile;
+    gradients.push_back(sums.narrow(0, begin, numbers)
+                            .view({rows, columns, kTile, kTile})
+                            .transpose(1, 2)
+                            .reshape({rows * kTile, columns * kTile})
+                            .slice(0, 0, w.size(0))
+                            .slice(1, 0, w.size(1)));
+    begin += numbers;
+  }
+  return gradients;
+}
+
+/// The power of two that brings the largest gradient near 2^8: far from float16's smallest number,
+/// with room for the sums of a layer below its largest.
+Tensor gradient_scale(const Tensor& grad) {
+  const Tensor largest = grad.abs().amax().clamp_min(1e-30);
+  return at::exp2(at::floor(at::log2(256 / largest)));
+}
+
+struct HalfMlp : public Function<HalfMlp> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& x_in, at::TensorList weights_in) {
+    const Tensor x = x_in.contiguous();
+    variable_list saved = {x};
+    for (const Tensor& w : weights_in) saved.push_back(w.contiguous());
+    const variable_list weights(saved.begin() + 1, saved.end());
+    HalfNetwork net;
+    TORCH_CHECK(network_of(weights, net), "half_mlp: too wide, or not float32");
+    const int64_t count = x.size(1);
+    Tensor out = at::empty({weights.back().size(0), count}, x.options());
+    const HalfForward share = {net, x.const_data_ptr<float>(), out.mutable_data_ptr<float>(),
+                               count};
+    if (count > 0) {
+      on_device_of(x, [&](const auto& on) { run_teams(on, teams_for(count), share); });
+    }
+    ctx->save_for_backward(saved);
+    return out;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
+    const variable_list saved = ctx->get_saved_variables();
+    const Tensor& x = saved[0];
+    const variable_list weights(saved.begin() + 1, saved.end());
+    const int64_t count = x.size(1);
+    HalfNetwork net = {};
+    network_of(weights, net);
+    Tensor grad_x;
+    if (ctx->needs_input_grad(0)) grad_x = at::empty_like(x);
+    variable_list results = {grad_x};
+    Tensor sums = at::zeros({std::max<int64_t>(teams_for(count), 1), net.sums()}, x.options());
+    if (count > 0) {
+      const Tensor grad = grads[0].contiguous(), scale = gradient_scale(grad);
+      const HalfBackward share = {net,
+                                  x.const_data_ptr<float>(),
+                                  grad.const_data_ptr<float>(),
+                                  scale.const_data_ptr<float>(),
+                                  grad_x.defined() ? grad_x.mutable_data_ptr<float>() : nullptr,
+                                  sums.mutable_data_ptr<float>(),
+                                  count};
+      on_device_of(x, [&](const auto& on) { run_teams(on, teams_for(count), share); });
+      sums = sums / scale;
+    }
+    for (Tensor& g : weight_gradients(sums.sum(0), weights)) results.push_back(std::move(g));
+    return results;
+  }
+};
+
+}  // namespace
+
+void check_mlp(const char* name, const Tensor& x, const std::vector<Tensor>& weights) {
+  TORCH_CHECK(!weights.empty() && x.dim() == 2 && x.size(0) == weights[0].size(1), name,
+              ": x must be [I,P] with I the first layer's inputs");
+  for (const Tensor& w : weights) check_same_device(name, {x, w});
+}
+
+bool half_mlp_fits(const std::vector<Tensor>& weights) {
+  HalfNetwork net;
+  return network_of(weights, net);
+}
+
+}  // namespace tt3d::field
+
+namespace tt3d {
+
+at::Tensor half_mlp(const at::Tensor& x, const std::vector<at::Tensor>& weights) {
+  field::check_mlp("half_mlp", x, weights);
+  return field::HalfMlp::apply(x, at::TensorList(weights));
+}
+
+}  // namespace tt3d
