@@ -23,6 +23,7 @@ struct Again final : Recording {
   }
   void play() override {
     ++plays;
+    const at::AutoGradMode with_gradients(true);  // as when it was recorded
     work();
   }
   std::function<void()> work;
