@@ -4,6 +4,7 @@
 #include <nanoflann.hpp>
 
 #include "nearest_math.h"
+#include "neighbors.h"
 #include "topology.h"
 #include "tt3d/device.h"
 #include "tt3d/mesh.h"
@@ -117,7 +118,7 @@ double half_cotangent(const std::vector<mesh::Point>& points, const mesh::Face& 
   return 0.5 * dot / std::max(sine, 1e-30);
 }
 
-/// Cotangent weights of the edges [E,1], in their order.
+/// Cotangent weights of the edges [E] float64, in their order.
 Tensor cotangent_weights(const TriMesh& m, const std::vector<uint64_t>& keys) {
   constexpr double kLeast = 1e-4, kMost = 1e2;  // obtuse pairs and needles
   std::vector<double> sums(keys.size(), 0.0);
@@ -129,7 +130,7 @@ Tensor cotangent_weights(const TriMesh& m, const std::vector<uint64_t>& keys) {
       sums[edge] += half_cotangent(points, f, k);
     }
   }
-  return at::tensor(sums, at::kDouble).clamp(kLeast, kMost).unsqueeze(1);
+  return at::tensor(sums, at::kDouble).clamp(kLeast, kMost);
 }
 
 }  // namespace
@@ -137,14 +138,17 @@ Tensor cotangent_weights(const TriMesh& m, const std::vector<uint64_t>& keys) {
 MeshRegularizer::MeshRegularizer(const TriMesh& rest, LaplacianWeights weights)
     : rest_(rest.vertices.detach().contiguous()) {
   const auto keys = edge_keys(rest);
-  edges_ = edge_vertices(keys).to(rest_.device());
-  Tensor shares = at::ones({edges_.numel()}, rest_.options());
-  if (weights == LaplacianWeights::kCotangent) {
-    weights_ = cotangent_weights(rest, keys).to(rest_.options());
-    shares = weights_.expand({-1, 2}).reshape({-1});
-  }
-  degree_ = at::zeros({rest_.size(0)}, rest_.options()).index_add_(0, edges_.flatten(), shares);
-  degree_ = degree_.clamp_min(weights_.defined() ? 1e-4 : 1).unsqueeze(1);
+  const Tensor edges = edge_vertices(keys);
+  Tensor own;
+  if (weights == LaplacianWeights::kCotangent) own = cotangent_weights(rest, keys);
+  const Tensor shares = own.defined() ? own : at::ones({edges.size(0)}, at::kDouble);
+  neighbors_ = std::make_shared<mesh::Neighbors>(edges, own, rest_.size(0), rest_.options());
+  degree_ = at::zeros({rest_.size(0)}, at::kDouble)
+                .index_add(0, edges.select(1, 0), shares)
+                .index_add(0, edges.select(1, 1), shares)
+                .clamp_min(own.defined() ? 1e-4 : 1)
+                .unsqueeze(1)
+                .to(rest_.options());
   tree_ = std::make_shared<RestTree>(rest_);
   Tensor spacing = at::empty({rest_.size(0)});
   const float* points = tree_->points.const_data_ptr<float>();
@@ -173,7 +177,7 @@ std::pair<Tensor, Tensor> MeshRegularizer::nearest_both_ways(const Tensor& moved
   const Tensor to_vertex = numbers(is_left, [&](int64_t i) {
     // Nothing is nearer than its own vertex but what rests within both moves of here.
     const float radius = (way[i] + most) * 1.0001F;
-    std::vector<std::pair<int64_t, float>> around;
+    thread_local std::vector<std::pair<int64_t, float>> around;  // its memory serves the next one
     tree_->tree.radiusSearch(rest + 3 * i, radius * radius, around, nanoflann::SearchParams());
     int64_t found = i;
     float least = squared_distance(place + 3 * i, rest + 3 * i);
@@ -190,20 +194,11 @@ std::pair<Tensor, Tensor> MeshRegularizer::nearest_both_ways(const Tensor& moved
 }
 
 Tensor MeshRegularizer::laplacian(const Tensor& vertices) const {
-  const Tensor a = edges_.select(1, 0), b = edges_.select(1, 1);
-  const auto weighted = [&](const Tensor& x) { return weights_.defined() ? x * weights_ : x; };
-  const Tensor sums = at::zeros_like(rest_)
-                          .index_add(0, a, weighted(vertices.index_select(0, b)))
-                          .index_add(0, b, weighted(vertices.index_select(0, a)));
-  return (vertices - sums / degree_).square().sum(1).mean();
+  return (mesh::neighbor_differences(vertices, neighbors_) / degree_).square().sum(1).mean();
 }
 
 Tensor MeshRegularizer::edge_length(const Tensor& vertices) const {
-  return (vertices.index_select(0, edges_.select(1, 0)) -
-          vertices.index_select(0, edges_.select(1, 1)))
-      .square()
-      .sum(1)
-      .mean();
+  return mesh::mean_squared_edge(vertices, neighbors_);
 }
 
 Tensor MeshRegularizer::chamfer(const Tensor& vertices) const {

@@ -52,7 +52,7 @@ Tensor render_mesh(const Tensor& vertices, const Tensor& rest, const RenderMesh&
   const Tensor colors = shader(surface_points(rest, rast, mesh.faces, covered)).t();
   const Tensor shaded = at::cat({colors, at::ones({covered.size(0), 1}, colors.options())}, 1);
   const Tensor picture = at::zeros({views * height * width, shaded.size(1)}, shaded.options())
-                             .index_copy(0, covered, shaded)
+                             .index_copy_(0, covered, shaded)
                              .view({views, height, width, shaded.size(1)});
   return antialias(picture, rast, clip, mesh.faces, mesh.twins);
 }

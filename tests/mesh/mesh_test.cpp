@@ -190,6 +190,45 @@ TEST(Regularizer, GradientsAgainstCentralDifferences) {
   EXPECT_LT(error([&](const Tensor& v) { return uniform.chamfer(v); }), 1e-6);
 }
 
+TEST(Regularizer, EqualsTheTensorReference) {
+  TriMesh mesh = as_mesh(testing::sphere(2));
+  mesh.vertices = mesh.vertices.to(at::kDouble);
+  const Tensor moved0 = mesh.vertices + testing::uniform(mesh.vertices.sizes(), -0.05, 0.05, 4);
+  // Every edge of a closed mesh is in two faces, once each way.
+  const Tensor f = mesh.faces.to(at::kLong);
+  const Tensor from = f.flatten(), to = f.roll(-1, 1).flatten();
+  std::vector<Tensor> results;
+  for (const bool ours : {true, false}) {
+    const Tensor v = moved0.clone().requires_grad_(true);
+    Tensor laplacian, length;
+    if (ours) {
+      const MeshRegularizer regularizer(mesh);
+      laplacian = regularizer.laplacian(v);
+      length = regularizer.edge_length(v);
+    } else {
+      const Tensor degree =
+          at::zeros_like(v).index_add(0, from, at::ones({from.size(0), 3}, v.options()));
+      const Tensor sums = at::zeros_like(v).index_add(0, from, v.index_select(0, to));
+      laplacian = (v - sums / degree).square().sum(1).mean();
+      length = (v.index_select(0, from) - v.index_select(0, to)).square().sum(1).mean();
+    }
+    (laplacian + 3 * length).backward();
+    results.insert(results.end(), {laplacian.detach(), length.detach(), v.grad()});
+  }
+  for (size_t i = 0; i < 3; ++i) {
+    EXPECT_LT((results[i] - results[i + 3]).abs().max().item<double>(), 1e-14) << i;
+  }
+}
+
+TEST(Regularizer, AVertexWithoutFacesIsLeftAlone) {
+  TriMesh mesh = as_mesh(testing::sphere(1));
+  const double before = MeshRegularizer(mesh).laplacian(mesh.vertices).item<double>();
+  const auto count = static_cast<double>(mesh.vertices.size(0));
+  mesh.vertices = at::cat({mesh.vertices, at::full({1, 3}, 5.F)});
+  const double after = MeshRegularizer(mesh).laplacian(mesh.vertices).item<double>();
+  EXPECT_NEAR(after * (count + 1), before * count, 1e-6);
+}
+
 /// A flat fan around the origin: a wide half on the right, a narrow one on the left.
 TriMesh uneven_fan() {
   TriMesh fan;

@@ -18,6 +18,9 @@
 /// Functions that change a mesh's structure work on the host and give a mesh on the host; rendering
 /// and regularisers work on the device of their tensors.
 namespace tt3d {
+namespace mesh {
+struct Neighbors;
+}
 
 struct TriMesh {
   at::Tensor vertices;  ///< [V,3] float32
@@ -125,8 +128,8 @@ class MeshRegularizer {
   [[nodiscard]] std::pair<at::Tensor, at::Tensor> nearest_both_ways(const at::Tensor& moved,
                                                                     const at::Tensor& offset) const;
 
-  at::Tensor rest_, edges_;
-  at::Tensor weights_;  ///< [E,1] of the edges; undefined where all are 1
+  at::Tensor rest_;
+  std::shared_ptr<const mesh::Neighbors> neighbors_;
   at::Tensor degree_;   ///< [V,1] sum of the weights around each vertex
   at::Tensor spacing_;  ///< [V] distance of each rest vertex to the nearest other one
   std::shared_ptr<const RestTree> tree_;
