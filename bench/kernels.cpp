@@ -235,7 +235,6 @@ BENCHMARK(hash_encode_plain_tensors)->Unit(benchmark::kMillisecond)->UseRealTime
 }  // namespace tt3d
 
 int main(int argc, char** argv) {
-  tt3d::keep_freed_memory();  // as the program
   at::set_num_threads(std::max(
       1, std::atoi(std::getenv("OMP_NUM_THREADS") ? std::getenv("OMP_NUM_THREADS") : "1")));
   benchmark::Initialize(&argc, argv);

@@ -44,7 +44,6 @@ int main(int argc, char** argv) {
     std::cerr << "usage: model_bench MODEL BATCH THREADS\n";
     return 2;
   }
-  tt3d::keep_freed_memory();  // as the program does
   try {
     return serve(argv[1], std::atoll(argv[2]), std::atoi(argv[3]));
   } catch (const tt3d::Error& error) {

@@ -119,7 +119,6 @@ void sleep_when_busy(char** argv) {
 
 int main(int argc, char** argv) {
   tt3d::cli::sleep_when_busy(argv);
-  tt3d::keep_freed_memory();
   try {
     return tt3d::cli::run_program(argc, argv);
   } catch (const tt3d::Error& error) {

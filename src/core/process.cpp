@@ -1,5 +1,4 @@
 #include <fcntl.h>
-#include <malloc.h>
 #include <poll.h>
 #include <signal.h>
 #include <spawn.h>
@@ -11,7 +10,6 @@
 #include <chrono>
 #include <cstring>
 #include <fstream>
-#include <limits>
 #include <thread>
 
 #include "tt3d/core.h"
@@ -143,10 +141,5 @@ int64_t peak_memory_bytes() noexcept {
 }
 
 void reset_peak_memory() noexcept { std::ofstream("/proc/self/clear_refs") << "5"; }
-
-void keep_freed_memory() noexcept {
-  ::mallopt(M_MMAP_MAX, 0);  // memory from mmap goes back when it is freed
-  ::mallopt(M_TRIM_THRESHOLD, std::numeric_limits<int>::max());
-}
 
 }  // namespace tt3d

@@ -141,9 +141,4 @@ struct ProcessResult {
 [[nodiscard]] int64_t peak_memory_bytes() noexcept;
 void reset_peak_memory() noexcept;
 
-/// Tells glibc to keep what is freed: a step's tensors then lie in the memory of the step before,
-/// where the kernel would zero every page anew (a third of ConvNeXt's pass over 8 pictures). It
-/// holds for the whole process, so it is for programs to call, first thing in main.
-void keep_freed_memory() noexcept;
-
 }  // namespace tt3d
