@@ -1,9 +1,12 @@
 #include <ATen/ATen.h>
+#include <torch/csrc/autograd/autograd.h>
 
 #include <algorithm>
 #include <cstdio>
 #include <functional>
 #include <iostream>
+#include <memory>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
@@ -14,10 +17,16 @@
 #include "tt3d/mesh.h"
 #include "tt3d/model.h"
 #include "tt3d/raster.h"
+#include "tt3d/tensor_file.h"
 
-// Times each operator, forward and backward, on the CPU and on the GPU, and prints rows of a
-// Markdown table: operator, size, milliseconds on both (median of the repetitions), their ratio.
 // Run by scripts/gpu-check.
+//
+//   gpu_speed                 times each operator, forward and backward, on the CPU and on the GPU;
+//                             prints rows of a Markdown table: operator, size, milliseconds on both
+//                             (median of the repetitions), their ratio
+//   gpu_speed --peers MESH    times what bench/gpu_peers.py compares with other programs, on the GPU
+//                             alone; prints {name: milliseconds}. MESH: as for kernel_bench
+//   gpu_speed --profile MESH  the same, each three times and untimed, for a profiler
 namespace tt3d {
 namespace {
 
@@ -161,6 +170,86 @@ void print_classifier_rows(const std::string& name, int64_t pictures, at::Device
   use_gpu_options({});
 }
 
+// ---- What is compared with other programs --------------------------------------------------
+
+/// Milliseconds of one call, launched one after another without waiting in between: the median of
+/// some rounds.
+double sustained_ms(const std::function<void()>& work, at::Device gpu) {
+  constexpr int kRounds = 5, kCalls = 20;
+  for (int i = 0; i < kCalls; ++i) work();  // warm
+  std::vector<double> times;
+  for (int round = 0; round < kRounds; ++round) {
+    wait_for(gpu);
+    const double start = now_seconds();
+    for (int i = 0; i < kCalls; ++i) work();
+    wait_for(gpu);
+    times.push_back(1e3 * (now_seconds() - start) / kCalls);
+  }
+  std::nth_element(times.begin(), times.begin() + kRounds / 2, times.end());
+  return times[kRounds / 2];
+}
+
+/// Rasterize, interpolate colours, antialias; gradients to positions and colours.
+std::function<void()> colored_mesh(const TensorFile& file, int64_t views, int64_t size,
+                                   at::Device gpu) {
+  const Tensor clip = file.get("clip", {1, -1, 4}, at::kFloat).to(gpu).expand({views, -1, -1});
+  const Tensor faces = file.get("faces", {-1, 3}, at::kInt).to(gpu), twins = edge_twins(faces);
+  return both_ways({clip.contiguous(), file.get("colors", {-1, 3}, at::kFloat).to(gpu)},
+                   [faces, twins, size](const auto& in) {
+                     const Tensor rast = rasterize(in[0], faces, size, size);
+                     return antialias(interpolate(in[1], rast, faces), rast, in[0], faces, twins);
+                   });
+}
+
+/// A training step of a hash grid with a network 35-64-64-6 behind it: look-up, squared error,
+/// gradients, Adam.
+std::function<void()> training_step(int64_t points, bool half, at::Device gpu) {
+  const HashGridShape shape;
+  std::vector<Tensor> parameters = {random({shape.entries(), 2}, -1e-4, 1e-4, 1, gpu),
+                                    random({64, 35}, -0.3, 0.3, 4, gpu),
+                                    random({64, 64}, -0.3, 0.3, 5, gpu),
+                                    random({6, 64}, -0.3, 0.3, 6, gpu)};
+  std::vector<Tensor> moment1, moment2;
+  for (Tensor& p : parameters) {
+    moment1.push_back(at::zeros_like(p));
+    moment2.push_back(at::zeros_like(p));
+    p.requires_grad_(true);
+  }
+  const Tensor x = random({points, 3}, -1, 1, 2, gpu), target = random({6, points}, 0, 1, 3, gpu);
+  auto iteration = std::make_shared<int64_t>(0);
+  return [=] {
+    const Tensor encoded = encode_points(x, parameters[0], shape);
+    const std::vector<Tensor> weights(parameters.begin() + 1, parameters.end());
+    const Tensor out = half ? half_mlp(encoded, weights) : mlp(encoded, weights);
+    const std::vector<Tensor> gradients =
+        torch::autograd::grad({at::mse_loss(out, target)}, parameters);
+    const at::NoGradGuard none;
+    ++*iteration;
+    for (size_t i = 0; i < parameters.size(); ++i) {
+      Adam{}.step(parameters[i], gradients[i].contiguous(), moment1[i], moment2[i], 1e-3,
+                  *iteration);
+    }
+  };
+}
+
+/// Prints the milliseconds of each case; for a profiler calls each three times.
+void measure_for_peers(const std::string& mesh, bool for_profiler, at::Device gpu) {
+  const TensorFile file = load_tensors(mesh);
+  const std::vector<std::pair<std::string, Case>> cases = {
+      {"colored_mesh 1x400", [&](auto on) { return colored_mesh(file, 1, 400, on); }},
+      {"colored_mesh 8x512", [&](auto on) { return colored_mesh(file, 8, 512, on); }},
+      {"colored_mesh 1x2048", [&](auto on) { return colored_mesh(file, 1, 2048, on); }},
+      {"training_step", [](auto on) { return training_step(1 << 18, false, on); }},
+      {"training_step half", [](auto on) { return training_step(1 << 18, true, on); }}};
+  nlohmann::json times;
+  for (const auto& [name, prepare] : cases) {
+    const std::function<void()> work = prepare(gpu);
+    if (!for_profiler) times[name] = sustained_ms(work, gpu);
+    for (int i = 0; for_profiler && i < 3; ++i) work();
+  }
+  std::cout << times.dump() << "\n";
+}
+
 void measure(at::Device gpu) {
   std::printf(
       "| forward and backward | size | CPU ms | CUDA ms | ratio |\n|---|---|---|---|---|\n");
@@ -181,9 +270,15 @@ void measure(at::Device gpu) {
 }  // namespace
 }  // namespace tt3d
 
-int main() {
+int main(int argc, char** argv) {
   try {
-    tt3d::measure(tt3d::device_named("cuda"));
+    const at::Device gpu = tt3d::device_named("cuda");
+    const std::string mode = argc == 3 ? argv[1] : "";
+    if (mode == "--peers" || mode == "--profile") {
+      tt3d::measure_for_peers(argv[2], mode == "--profile", gpu);
+    } else {
+      tt3d::measure(gpu);
+    }
   } catch (const std::exception& error) {
     std::cerr << "gpu_speed: " << error.what() << "\n";
     return 1;

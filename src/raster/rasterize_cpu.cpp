@@ -143,18 +143,31 @@ TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* 
 }
 
 /// Adds the gradients of pixels [first,last) of a view to its vertices' sums, in their order.
+/// Neighbouring pixels of one triangle are summed first: they load and store its vertices once.
 template <typename T>
 TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, int64_t first,
                            int64_t last, T* sums) {
   const int64_t offset = view * body.s.height * body.s.width;
   const T* clip = body.clip + view * body.s.vertices * 4;
+  int64_t shown = -1;
+  ClipTriangle triangle = {};
+  TriangleRows rows;
   for (int64_t y = first / body.s.width; y * body.s.width < last; ++y) {
     const int64_t row = y * body.s.width, end = std::min(last - row, body.s.width);
     const double py = pixel_y(y, body.s.height);
     for (int64_t x = std::max<int64_t>(first - row, 0); x < end; ++x) {
-      body.spread(offset + row + x, pixel_x(x, body.s.width), py, clip, sums);
+      const int64_t i = offset + row + x, face = body.face_at(i);
+      if (face < 0) continue;
+      if (face != shown) {
+        if (shown >= 0) body.spread(shown, rows, sums);
+        triangle = load_triangle(clip, body.faces + 3 * face);
+        rows = {};
+        shown = face;
+      }
+      body.add_pixel(i, triangle, pixel_x(x, body.s.width), py, rows);
     }
   }
+  if (shown >= 0) body.spread(shown, rows, sums);
 }
 
 // target_clones needs plain functions.

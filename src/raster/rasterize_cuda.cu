@@ -74,8 +74,8 @@ struct Shown {
 };
 
 /// Tests the pixel against the batch.
-__device__ void draw_batch(const TriangleSetup* setups, const int32_t* ids, int count, int column,
-                           int row, const Sizes& s, Shown& shown) {
+__device__ void draw_batch(const TriangleSetup* setups, const int32_t* ids, int count,
+                           int64_t column, int64_t row, const Sizes& s, Shown& shown) {
   const double px = pixel_x(column, s.width), py = pixel_y(row, s.height);
   for (int k = 0; k < count; ++k) {
     const TriangleSetup& t = setups[k];
@@ -98,8 +98,8 @@ __global__ void __launch_bounds__(kPixels)
   const int64_t tile = blockIdx.x;
   const int64_t view = tile / (tiles.x * tiles.y), place = tile % (tiles.x * tiles.y);
   const int thread = static_cast<int>(threadIdx.x);
-  const int column = static_cast<int>(place % tiles.x) * kTile + thread % kTile;
-  const int row = static_cast<int>(place / tiles.x) * kTile + thread / kTile;
+  const int64_t column = place % tiles.x * kTile + thread % kTile;
+  const int64_t row = place / tiles.x * kTile + thread / kTile;
   Shown shown;
   for (int64_t first = begin[tile]; first < begin[tile + 1]; first += kBatch) {
     const int64_t left = begin[tile + 1] - first;

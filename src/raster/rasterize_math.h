@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <type_traits>
 
 #include "tt3d/kernel.h"
 
@@ -90,6 +91,7 @@ struct TriangleSetup {
 /// vector of them.)
 template <typename Value>
 TT3D_HD Value pixel_x(const Value& c, int64_t width) {
+  static_assert(!std::is_integral_v<Value>, "the result would be one, too");
   const double inverse = 1.0 / static_cast<double>(width);  // once a loop, not once a pixel
   return (2.0 * c + 1.0) * inverse - 1.0;
 }
@@ -238,8 +240,8 @@ TT3D_HD bool hides(double depth, int64_t face, double shown_depth, int64_t shown
 struct ClipRow {
   double x, y, z, w;
 };
-TT3D_HD ClipRow operator-(const ClipRow& p, const ClipRow& q) {
-  return {p.x - q.x, p.y - q.y, p.z - q.z, p.w - q.w};
+TT3D_HD ClipRow operator+(const ClipRow& p, const ClipRow& q) {
+  return {p.x + q.x, p.y + q.y, p.z + q.z, p.w + q.w};
 }
 TT3D_HD ClipRow operator*(double s, const ClipRow& p) {
   return {s * p.x, s * p.y, s * p.z, s * p.w};
@@ -259,33 +261,27 @@ TT3D_HD void accumulate_row(T* sum, const ClipRow& row) {
 }
 #endif
 
-/// Backward of one pixel's (u,v): sets the gradients of the triangle's vertices (those of z are 0).
-/// With p' = p.xy - P p.w and a_k = cross of the other two p', u = a_0/sum a, v = a_1/sum a.
+/// What a pixel's gradient adds to a triangle's vertices is a row times the vertex's weight u, v or
+/// 1 - u - v: where sum_k u_k p_k is along (P,1), moving vertex k by d is moving the sum by u_k d.
+/// With p' = p.xy - P p.w and differences taken from vertex 2, u = cross(p1', p2') / cross(d0, d1),
+/// and the row is (gx, gy, 0, -P.(gx,gy)), which does not change when P moves along its own ray.
 TT3D_HD void rasterize_backward(const ClipTriangle& t, double px, double py, double grad_u,
-                                double grad_v, ClipRow grad[3]) {
-  double x[3], y[3];
-  for (int k = 0; k < 3; ++k) {
-    x[k] = t.corner[k].x - px * t.corner[k].w;
-    y[k] = t.corner[k].y - py * t.corner[k].w;
-  }
-  double a[3];
-  for (int k = 0; k < 3; ++k) {
-    const int i = (k + 1) % 3, j = (k + 2) % 3;
-    a[k] = x[i] * y[j] - x[j] * y[i];
-  }
-  const double sum = a[0] + a[1] + a[2];
-  const double inverse = sum == 0 ? 0 : 1 / sum;
-  const double mean = (grad_u * a[0] + grad_v * a[1]) * inverse;
-  const double grad_a[3] = {(grad_u - mean) * inverse, (grad_v - mean) * inverse, -mean * inverse};
-  // The derivative of cross(p', q') by p is turned[q].
-  ClipRow turned[3] = {};
-  for (int k = 0; k < 3; ++k) turned[k] = ClipRow{y[k], -x[k], 0, py * x[k] - px * y[k]};
-  for (int k = 0; k < 3; ++k) {
-    const int i = (k + 1) % 3, j = (k + 2) % 3;
-    // Vertex k enters a_j = cross(p_k, p_i) and a_i = cross(p_j, p_k).
-    grad[k] = grad_a[j] * turned[i] - grad_a[i] * turned[j];
-  }
+                                double grad_v, ClipRow& row) {
+  const ClipVertex &p = t.corner[0], &q = t.corner[1], &r = t.corner[2];
+  const double w0 = p.w - r.w, w1 = q.w - r.w;
+  const double x0 = p.x - r.x - px * w0, y0 = p.y - r.y - py * w0;
+  const double x1 = q.x - r.x - px * w1, y1 = q.y - r.y - py * w1;
+  const double area = x0 * y1 - x1 * y0;
+  const double inverse = area == 0 ? 0 : 1 / area;
+  const double gx = (grad_v * y0 - grad_u * y1) * inverse;
+  const double gy = (grad_u * x1 - grad_v * x0) * inverse;
+  row = ClipRow{gx, gy, 0, -(px * gx + py * gy)};
 }
+
+/// The gradients of a triangle's vertices.
+struct TriangleRows {
+  ClipRow corner[3] = {};
+};
 
 /// Body of rasterize's backward pass: pixel i adds to its triangle's vertices.
 template <typename T>
@@ -297,21 +293,35 @@ struct RasterizeBackwardPixel {
   T* grad_clip;
   Sizes s;
   TT3D_HD void operator()(int64_t i) const {
+    const int64_t face = face_at(i);
+    if (face < 0) return;
     const PixelPlace at = place_of(i, s);
     const int64_t first = at.view * s.vertices * 4;
-    spread(i, pixel_x(at.column, s.width), pixel_y(at.row, s.height), clip + first,
-           grad_clip + first);
+    TriangleRows rows;
+    add_pixel(i, load_triangle(clip + first, faces + 3 * face), pixel_x(at.column, s.width),
+              pixel_y(at.row, s.height), rows);
+    spread(face, rows, grad_clip + first);
   }
-  /// The pixel at (px,py), of a view whose vertices are `points` and their gradients `sums`.
-  TT3D_HD void spread(int64_t i, double px, double py, const T* points, T* sums) const {
-    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
-    const T grad_u = grad_rast[4 * i], grad_v = grad_rast[4 * i + 1];
-    if (face < 0 || (grad_u == 0 && grad_v == 0)) return;
+  /// The triangle whose vertices pixel i moves, -1 where it moves none.
+  [[nodiscard]] TT3D_HD int64_t face_at(int64_t i) const {
+    if (grad_rast[4 * i] == 0 && grad_rast[4 * i + 1] == 0) return -1;
+    return static_cast<int64_t>(rast[4 * i + 3]) - 1;
+  }
+  /// Adds what pixel i, at (px,py), gives to the triangle that it shows.
+  TT3D_HD void add_pixel(int64_t i, const ClipTriangle& triangle, double px, double py,
+                         TriangleRows& rows) const {
+    ClipRow row;
+    rasterize_backward(triangle, px, py, static_cast<double>(grad_rast[4 * i]),
+                       static_cast<double>(grad_rast[4 * i + 1]), row);
+    const auto u = static_cast<double>(rast[4 * i]), v = static_cast<double>(rast[4 * i + 1]);
+    const double weight[3] = {u, v, 1 - u - v};
+    for (int k = 0; k < 3; ++k) rows.corner[k] = rows.corner[k] + weight[k] * row;
+  }
+  TT3D_HD void spread(int64_t face, const TriangleRows& rows, T* sums) const {
     const int32_t* corner = faces + 3 * face;
-    ClipRow grad[3];
-    rasterize_backward(load_triangle(points, corner), px, py, static_cast<double>(grad_u),
-                       static_cast<double>(grad_v), grad);
-    for (int k = 0; k < 3; ++k) accumulate_row(sums + static_cast<int64_t>(corner[k]) * 4, grad[k]);
+    for (int k = 0; k < 3; ++k) {
+      accumulate_row(sums + static_cast<int64_t>(corner[k]) * 4, rows.corner[k]);
+    }
   }
 };
 

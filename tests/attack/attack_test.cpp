@@ -425,6 +425,41 @@ TEST(Attack, StopsAfterThreeRollBacks) {
   EXPECT_EQ(notes.count, 3);
 }
 
+/// A classifier on a device that holds two pictures at a time.
+class SmallClassifier : public testing::ColorClassifier {
+ public:
+  [[nodiscard]] Tensor logits(const Tensor& images) const override {
+    if (images.size(0) > 2) C10_THROW_ERROR(OutOfMemoryError, "no more than two pictures");
+    return ColorClassifier::logits(images);
+  }
+};
+
+TEST(Attack, OutOfMemoryHalvesTheViewsAndTheWorkGoesOn) {
+  testing::TemporaryFolder folder;
+  AttackInput input = ball_input(0);
+  input.surrogates = {std::make_shared<SmallClassifier>()};
+  AttackOptions o = toy_options();
+  o.views_per_step = 8;
+  testing::CountNotes notes;
+  const AttackResult r = run_attack(input, o, 1, folder / "c", notes);
+  EXPECT_EQ(notes.count, 2);  // to four, to two, and never again
+  EXPECT_EQ(r.curves.size(), 40U);
+  EXPECT_GE(late_success(r), 0.9);
+}
+
+TEST(Attack, OutOfMemoryWithOneViewIsAnErrorThatSaysWhatToDo) {
+  testing::TemporaryFolder folder;
+  AttackInput input = ball_input(0);
+  struct NoClassifier : testing::ColorClassifier {
+    [[nodiscard]] Tensor logits(const Tensor&) const override {
+      C10_THROW_ERROR(OutOfMemoryError, "no picture");
+    }
+  };
+  input.surrogates = {std::make_shared<NoClassifier>()};
+  Progress quiet;
+  EXPECT_THROW((void)run_attack(input, toy_options(), 1, folder / "c", quiet), ResourceError);
+}
+
 TEST(Attack, EveryPresetIsSavedAndLoaded) {
   Progress quiet;
   for (const AttackPreset& preset : attack_presets()) {

@@ -1,8 +1,11 @@
+#include <c10/cuda/CUDACachingAllocator.h>
+#include <cuda_runtime.h>
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
 
 #include "attack/toy_attack.h"
 #include "gpu/both_devices.h"
+#include "support/count_notes.h"
 #include "support/stop_after.h"
 #include "support/temporary_folder.h"
 #include "tt3d/attack.h"
@@ -60,6 +63,27 @@ TEST_F(AttackOnGpu, ClassifiersPlayedAsCudaGraphsGiveTheSame) {
       }
     }
   }
+}
+
+TEST_F(AttackOnGpu, OutOfMemoryHalvesTheViewsAndTheWorkGoesOn) {
+  using c10::cuda::CUDACachingAllocator::emptyCache;
+  using c10::cuda::CUDACachingAllocator::setMemoryFraction;
+  AttackOptions o = testing::toy_options();
+  o.steps = 4;
+  o.views_per_step = 256;
+  o.image_size = 512;
+  const AttackInput input = testing::ball_input(2, gpu);
+  emptyCache();
+  size_t free = 0, total = 0;
+  ASSERT_EQ(cudaMemGetInfo(&free, &total), cudaSuccess);
+  constexpr double kAllowed = 3e9;  // 256 views take several times that
+  setMemoryFraction(kAllowed / static_cast<double>(total), gpu.index());
+  testing::CountNotes notes;
+  testing::TemporaryFolder folder;
+  const AttackResult r = run_attack(input, o, 1, folder / "c", notes);
+  setMemoryFraction(1.0, gpu.index());
+  EXPECT_GE(notes.count, 1);
+  EXPECT_EQ(r.curves.size(), 4U);
 }
 
 TEST_F(AttackOnGpu, ReachesTheTargetAndGoesOnAfterAStop) {

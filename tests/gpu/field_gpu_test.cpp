@@ -81,8 +81,8 @@ TEST_F(FieldOnGpu, HalfMlpRoundsAsOnTheCpu) {
     std::vector<Tensor> inputs = {uniform({35, count}, -1, 1, 9), uniform({64, 35}, -0.3, 0.3, 6),
                                   uniform({64, 64}, -0.3, 0.3, 7), uniform({6, 64}, -0.3, 0.3, 8)};
     for (Tensor& t : inputs) t = t.to(at::kFloat);
-    // Sums in another order may round an activation the other way.
-    expect_same("half_mlp", gpu, network, inputs, 3e-3);
+    // Sums in another order may round an activation the other way, to 0 and back.
+    expect_same("half_mlp", gpu, network, inputs, 1e-3, testing::relative_length);
   }
 }
 
