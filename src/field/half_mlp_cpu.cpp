@@ -14,7 +14,10 @@ void run_teams(const Cpu&, int64_t teams, const Share& share) {
   });
 }
 
-template void run_teams(const Cpu&, int64_t, const HalfForward&);
-template void run_teams(const Cpu&, int64_t, const HalfBackward&);
+#define TT3D_INSTANTIATE(LAYERS)                                            \
+  template void run_teams(const Cpu&, int64_t, const HalfForward<LAYERS>&); \
+  template void run_teams(const Cpu&, int64_t, const HalfBackward<LAYERS>&);
+TT3D_FOR_EACH_DEPTH(TT3D_INSTANTIATE)
+#undef TT3D_INSTANTIATE
 
 }  // namespace tt3d::field

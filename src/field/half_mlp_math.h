@@ -2,37 +2,57 @@
 
 #include <torch/headeronly/util/Half.h>
 
+#include <cmath>
 #include <cstdint>
 
 #include "tt3d/kernel.h"
 
 /// Bodies of the small networks in half precision, fused layer to layer, in the tiles that tensor
 /// cores multiply (Mueller et al., "Real-time neural radiance caching for path tracing", TOG 2021,
-/// section 4.3). Factors are float16, sums float32. A team of threads takes a few points at a time
-/// through all layers within its own memory: the warps of a block with shared memory on the GPU
-/// (half_mlp.cu), one thread on the CPU, where the same text gives the same roundings, slowly.
+/// section 4.3). Factors are float16, sums float32. A warp takes a tile of points through all
+/// layers in its registers: what comes out of a product has the layout that the next one takes in.
+/// Weights lie in the memory of the team that warps form, and pass through it again to sum the
+/// weights' gradients over points. A team is a block on the GPU (half_mlp.cu); on the CPU one
+/// thread, of one warp with one lane, where the same text gives the same roundings, slowly.
+/// Before a loop that is to be unrolled on the GPU, so that what it indexes stays in registers.
+#ifdef __CUDA_ARCH__
+#define TT3D_UNROLL _Pragma("unroll")
+#else
+#define TT3D_UNROLL
+#endif
+
 namespace tt3d::field {
 
 using c10::Half;
 
-constexpr int kTile = 16;        ///< side of a tile
-constexpr int kTeamPoints = 64;  ///< points that a team takes through the layers at once
-/// Numbers from a row of points to the next: rows that lie apart fall into different banks.
-constexpr int kTeamRow = kTeamPoints + 8;
+constexpr int kTile = 16;     ///< side of a tile: points, and numbers of a layer
+constexpr int kMaxTiles = 4;  ///< of a layer's inputs or outputs
 constexpr int kMaxHalfLayers = 4;
+/// Numbers that rows in a team's memory have beside a whole number of tiles: rows then begin in
+/// different banks.
+constexpr int kRowGap = 8;
+/// Rows of the memory that gradients and inputs pass through.
+constexpr int kPassRow = kMaxTiles * kTile + kRowGap;
 /// Teams at most. The sums over points are made a team at a time, whatever runs them.
-constexpr int64_t kMaxTeams = 512;
-constexpr int kTeamWarps = 4;  ///< on the GPU
-/// Shared memory of a block on the smallest GPU that this is compiled for (sm_80), less a reserve.
-constexpr int64_t kTeamBytes = 160 << 10;
+constexpr int64_t kMaxTeams = 264;
 
 TT3D_HD int tiles_of(int n) { return (n + kTile - 1) / kTile; }
 TT3D_HD int in_tiles(int n) { return tiles_of(n) * kTile; }
 
-/// Rounds to the nearest; what float16 cannot hold becomes its largest number.
-TT3D_HD Half to_half(float v) {
+/// Within what float16 can hold; NaN stays NaN.
+TT3D_HD float clamp_to_half(float v) {
   constexpr float kLargest = 65504;
-  return {v > kLargest ? kLargest : v < -kLargest ? -kLargest : v};
+  return v > kLargest ? kLargest : v < -kLargest ? -kLargest : v;
+}
+
+/// The power of two that brings the largest gradient near 2^8: far from float16's smallest number,
+/// with room for the sums of a layer below its largest (Micikevicius et al., "Mixed precision
+/// training", ICLR 2018, section 3.2).
+TT3D_HD float gradient_scale(float largest) {
+  constexpr float kSmallest = 1e-30F;
+  int exponent = 0;
+  (void)std::frexp(256 / (largest > kSmallest ? largest : kSmallest), &exponent);
+  return std::ldexp(1.0F, exponent - 1);
 }
 
 /// The network: float32 weights [out,in].
@@ -40,6 +60,9 @@ struct HalfNetwork {
   struct Layer {
     const float* weights;
     int in, out;
+    TT3D_HD int row() const { return in_tiles(in) + kRowGap; }
+    TT3D_HD int turned_row() const { return in_tiles(out) + kRowGap; }
+    TT3D_HD int tiles() const { return tiles_of(in) * tiles_of(out); }
   };
   Layer layer[kMaxHalfLayers];
   int count;
@@ -47,125 +70,107 @@ struct HalfNetwork {
   /// Numbers of all weight gradients, tile after tile.
   TT3D_HD int64_t sums() const {
     int64_t total = 0;
-    for (int k = 0; k < count; ++k) total += in_tiles(layer[k].in) * in_tiles(layer[k].out);
+    for (int k = 0; k < count; ++k) total += layer[k].tiles() * kTile * kTile;
     return total;
   }
 };
 
-/// A team's memory. Rows are filled up with zeros to whole tiles.
+/// A team's memory. Weights are filled up with zeros to whole tiles.
 struct HalfBuffers {
-  Half* weights[kMaxHalfLayers];          ///< [out, in + 8]
-  Half* activations[kMaxHalfLayers + 1];  ///< [k]: input of layer k, [in, kTeamRow]
-  Half *grad, *next;                      ///< gradients of a layer's output and input
-  float* sums;                            ///< weight gradients so far
-  float* staging;                         ///< a tile for each warp
+  Half* weights[kMaxHalfLayers];  ///< [out, row()]
+  Half* turned[kMaxHalfLayers];   ///< backward: [in, turned_row()]
+  Half *grads, *inputs;           ///< backward: of a layer, [points, kPassRow]
 
   /// Cuts the memory into buffers; returns the bytes they take. With null it only counts.
   TT3D_HD int64_t lay_out(const HalfNetwork& net, bool backward, int warps, char* memory) {
     int64_t used = 0;
-    const auto take = [&](int64_t bytes) {
+    const auto take = [&](int64_t numbers) {
       char* piece = memory ? memory + used : nullptr;
-      used += bytes;
-      return piece;
+      used += 2 * numbers;
+      return reinterpret_cast<Half*>(piece);
     };
-    const auto take_half = [&](int64_t n) { return reinterpret_cast<Half*>(take(2 * n)); };
-    const auto take_float = [&](int64_t n) { return reinterpret_cast<float*>(take(4 * n)); };
-    int widest = in_tiles(net.layer[0].in);
-    activations[0] = take_half(widest * kTeamRow);
     for (int k = 0; k < net.count; ++k) {
-      const int in = in_tiles(net.layer[k].in), out = in_tiles(net.layer[k].out);
-      weights[k] = take_half(out * (in + 8));
-      activations[k + 1] = k + 1 < net.count ? take_half(out * kTeamRow) : nullptr;
-      widest = out > widest ? out : widest;
+      const HalfNetwork::Layer& layer = net.layer[k];
+      weights[k] = take(in_tiles(layer.out) * layer.row());
+      if (backward) turned[k] = take(in_tiles(layer.in) * layer.turned_row());
     }
-    staging = take_float(warps * kTile * kTile);
     if (!backward) return used;
-    grad = take_half(widest * kTeamRow);
-    next = take_half(widest * kTeamRow);
-    sums = take_float(net.sums());
+    grads = take(warps * kTile * kPassRow);
+    inputs = take(warps * kTile * kPassRow);
     return used;
   }
 };
 
-/// Calls `use(row, point, sum)` for every number of the product of a matrix [rows,inner] with
-/// x [inner,kTeamPoints]. The matrix's row length is `stride`; `kTurned` says that it is stored
-/// as [inner,rows].
-template <bool kTurned, typename Team, typename Use>
-TT3D_HD void each_of_product(const Team& team, const Half* matrix, int stride, const Half* x,
-                             int rows, int inner, float* staging, const Use& use) {
-  constexpr int kColumns = kTeamPoints / kTile;
-  float* own = staging + team.warp() * kTile * kTile;
-  for (int t = team.warp(); t < tiles_of(rows) * kColumns; t += team.warps()) {
-    const int r = t / kColumns * kTile, c = t % kColumns * kTile;
-    typename Team::Tile sum;
-    sum.clear();
-    for (int i = 0; i < inner; i += kTile) {
-      const Half* a = kTurned ? matrix + i * stride + r : matrix + r * stride + i;
-      sum.template add_product<kTurned, false>(a, stride, x + i * kTeamRow + c, kTeamRow);
-    }
-    sum.store(own);
-    team.sync_warp();
-    for (int e = team.lane(); e < kTile * kTile; e += team.lanes()) {
-      use(r + e / kTile, c + e % kTile, own[e]);
-    }
-    team.sync_warp();
-  }
-}
-
-/// sums[out,in] += grad[out,kTeamPoints] x[in,kTeamPoints]^T, tile after tile.
 template <typename Team>
-TT3D_HD void add_weight_gradient(const Team& team, const Half* grad, const Half* x, int out, int in,
-                                 float* sums) {
-  const int columns = tiles_of(in);
-  for (int t = team.warp(); t < tiles_of(out) * columns; t += team.warps()) {
-    const Half* g = grad + t / columns * kTile * kTeamRow;
-    const Half* a = x + t % columns * kTile * kTeamRow;
-    typename Team::Tile sum;
-    sum.load(sums + t * kTile * kTile);
-    for (int p = 0; p < kTeamPoints; p += kTile) {
-      sum.template add_product<false, true>(g + p, kTeamRow, a + p, kTeamRow);
-    }
-    sum.store(sums + t * kTile * kTile);
-  }
-}
-
-/// Points [begin, begin + kTeamPoints) of x [rows,count] times `factor`, zeros outside.
-template <typename Team>
-TT3D_HD void load_points(const Team& team, const float* x, int rows, int64_t count, int64_t begin,
-                         float factor, Half* into) {
-  for (int e = team.thread(); e < in_tiles(rows) * kTeamPoints; e += team.threads()) {
-    const int row = e / kTeamPoints, p = e % kTeamPoints;
-    const bool inside = row < rows && begin + p < count;
-    into[row * kTeamRow + p] = to_half(inside ? x[row * count + begin + p] * factor : 0.0F);
-  }
-}
-
-template <typename Team>
-TT3D_HD void load_weights(const Team& team, const HalfNetwork& net, const HalfBuffers& work) {
+TT3D_HD void load_weights(const Team& team, const HalfNetwork& net, bool backward,
+                          const HalfBuffers& work) {
   for (int k = 0; k < net.count; ++k) {
     const HalfNetwork::Layer& layer = net.layer[k];
     const int width = in_tiles(layer.in);
     for (int e = team.thread(); e < in_tiles(layer.out) * width; e += team.threads()) {
       const int o = e / width, i = e % width;
       const bool inside = o < layer.out && i < layer.in;
-      work.weights[k][o * (width + 8) + i] =
-          to_half(inside ? layer.weights[o * layer.in + i] : 0.0F);
+      const Half w = clamp_to_half(inside ? layer.weights[o * layer.in + i] : 0.0F);
+      work.weights[k][o * layer.row() + i] = w;
+      if (backward) work.turned[k][i * layer.turned_row() + o] = w;
     }
   }
 }
 
+/// Points [begin, begin + kTile) of x [rows,count] times `factor`, zeros outside.
+template <typename Factors>
+TT3D_HD void load_points(const float* x, int rows, int64_t count, int64_t begin, float factor,
+                         Factors (&into)[kMaxTiles]) {
+  TT3D_UNROLL
+  for (int t = 0; t < kMaxTiles; ++t) {
+    if (t * kTile >= rows) continue;
+    into[t].set([&](int point, int column) {
+      const int row = t * kTile + column;
+      const bool inside = row < rows && begin + point < count;
+      return clamp_to_half(inside ? x[row * count + begin + point] * factor : 0.0F);
+    });
+  }
+}
+
+/// Calls use(tile, sums) for every tile of outputs of a product of the points' numbers x, of `in`
+/// inputs, with weights [out, stride].
+template <typename Sums, typename Factors, typename Use>
+TT3D_HD void multiply(const Factors (&x)[kMaxTiles], int in, const Half* weights, int stride,
+                      int out, const Use& use) {
+  TT3D_UNROLL
+  for (int o = 0; o < kMaxTiles; ++o) {
+    if (o * kTile >= out) continue;
+    Sums sums;
+    sums.clear();
+    TT3D_UNROLL
+    for (int i = 0; i < kMaxTiles; ++i) {
+      if (i * kTile >= in) continue;
+      sums.add_product(x[i], weights + o * kTile * stride + i * kTile, stride);
+    }
+    use(o, sums);
+  }
+}
+
 /// A layer with a rectifier behind it.
-template <typename Team>
-TT3D_HD void rectified_layer(const Team& team, const HalfNetwork& net, const HalfBuffers& work,
-                             int k) {
-  const int in = in_tiles(net.layer[k].in);
-  Half* y = work.activations[k + 1];
-  each_of_product<false>(
-      team, work.weights[k], in + 8, work.activations[k], net.layer[k].out, in, work.staging,
-      [&](int row, int p, float v) { y[row * kTeamRow + p] = to_half(v < 0 ? 0.0F : v); });
+template <typename Sums, typename Factors>
+TT3D_HD void rectified_layer(const HalfNetwork::Layer& layer, const Half* weights,
+                             const Factors (&x)[kMaxTiles], Factors (&y)[kMaxTiles]) {
+  multiply<Sums>(x, layer.in, weights, layer.row(), layer.out,
+                 [&](int tile, const Sums& sums) { y[tile].set_rectified(sums); });
+}
+
+/// Writes a tile of a result [rows,count] for points from `begin` on.
+template <typename Sums>
+TT3D_HD void write_points(const Sums& sums, int tile, int rows, int64_t count, int64_t begin,
+                          float factor, float* out) {
+  sums.each([&](int point, int column, float v) {
+    const int row = tile * kTile + column;
+    if (row < rows && begin + point < count) out[row * count + begin + point] = v * factor;
+  });
 }
 
 /// A team's share of the forward pass: x [in,count] to out [out,count].
+template <int kLayers>
 struct HalfForward {
   HalfNetwork net;
   const float* x;
@@ -179,37 +184,37 @@ struct HalfForward {
 
   template <typename Team>
   TT3D_HD void operator()(const Team& team, char* memory, int64_t first, int64_t teams) const {
+    using Sums = typename Team::Sums;
     HalfBuffers work;
     work.lay_out(net, false, team.warps(), memory);
-    load_weights(team, net, work);
-    const int last = net.count - 1, rows = net.layer[last].out;
-    const int in = in_tiles(net.layer[last].in);
-    for (int64_t begin = first * kTeamPoints; begin < count; begin += teams * kTeamPoints) {
-      load_points(team, x, net.layer[0].in, count, begin, 1, work.activations[0]);
-      team.sync();
-      for (int k = 0; k < last; ++k) {
-        rectified_layer(team, net, work, k);
-        team.sync();
+    load_weights(team, net, false, work);
+    team.sync();
+    const int64_t stride = teams * team.warps() * kTile;
+    const HalfNetwork::Layer& last = net.layer[kLayers - 1];
+    for (int64_t begin = (first * team.warps() + team.warp()) * kTile; begin < count;
+         begin += stride) {
+      typename Team::Factors y[kLayers][kMaxTiles];
+      load_points(x, net.layer[0].in, count, begin, 1, y[0]);
+      TT3D_UNROLL
+      for (int k = 0; k + 1 < kLayers; ++k) {
+        rectified_layer<Sums>(net.layer[k], work.weights[k], y[k], y[k + 1]);
       }
-      each_of_product<false>(team, work.weights[last], in + 8, work.activations[last], rows, in,
-                             work.staging, [&](int row, int p, float v) {
-                               if (row < rows && begin + p < count)
-                                 out[row * count + begin + p] = v;
-                             });
-      team.sync();
+      multiply<Sums>(y[kLayers - 1], last.in, work.weights[kLayers - 1], last.row(), last.out,
+                     [&](int tile, const Sums& sums) {
+                       write_points(sums, tile, last.out, count, begin, 1, out);
+                     });
     }
   }
 };
 
-/// A team's share of the backward pass. Gradients are carried times *scale, a power of two that
-/// keeps them in float16's range (Micikevicius et al., "Mixed precision training", ICLR 2018,
-/// section 3.2).
+/// A team's share of the backward pass. Gradients are carried times gradient_scale(*largest).
+template <int kLayers>
 struct HalfBackward {
   HalfNetwork net;
   const float *x, *grad_out;  ///< [in,count], [out,count]
-  const float* scale;         ///< one number
+  const float* largest;       ///< size of the largest of grad_out
   float* grad_x;              ///< [in,count], or null
-  float* sums;                ///< [teams, net.sums()], times *scale
+  float* sums;                ///< [teams, net.sums()]
   int64_t count;
 
   TT3D_HD int64_t bytes(int warps) const {
@@ -219,100 +224,170 @@ struct HalfBackward {
 
   template <typename Team>
   TT3D_HD void operator()(const Team& team, char* memory, int64_t first, int64_t teams) const {
+    using Sums = typename Team::Sums;
+    using Factors = typename Team::Factors;
     HalfBuffers work;
     work.lay_out(net, true, team.warps(), memory);
-    load_weights(team, net, work);
-    const int64_t numbers = net.sums();
-    for (int64_t e = team.thread(); e < numbers; e += team.threads()) work.sums[e] = 0;
-    for (int64_t begin = first * kTeamPoints; begin < count; begin += teams * kTeamPoints) {
-      load_points(team, x, net.layer[0].in, count, begin, 1, work.activations[0]);
-      load_points(team, grad_out, net.layer[net.count - 1].out, count, begin, *scale, work.grad);
-      team.sync();
-      for (int k = 0; k + 1 < net.count; ++k) {
-        rectified_layer(team, net, work, k);
+    load_weights(team, net, true, work);
+    const float scale = gradient_scale(*largest), back = 1 / scale;
+    Sums own[kLayers][Team::kShare];  // of the weights' gradients: each warp has some tiles
+    for (auto& layer : own) {
+      for (Sums& tile : layer) tile.clear();
+    }
+    const int64_t points = static_cast<int64_t>(team.warps()) * kTile;
+    team.sync();
+    for (int64_t begin = first * points; begin < count; begin += teams * points) {
+      const int64_t mine = begin + team.warp() * kTile;
+      Factors y[kLayers][kMaxTiles], grad[kMaxTiles], next[kMaxTiles];
+      load_points(x, net.layer[0].in, count, mine, 1, y[0]);
+      load_points(grad_out, net.layer[kLayers - 1].out, count, mine, scale, grad);
+      TT3D_UNROLL
+      for (int k = 0; k + 1 < kLayers; ++k) {
+        rectified_layer<Sums>(net.layer[k], work.weights[k], y[k], y[k + 1]);
+      }
+      TT3D_UNROLL
+      for (int k = kLayers - 1; k >= 0; --k) {
+        const HalfNetwork::Layer& layer = net.layer[k];
+        pass_points(team, grad, layer.out, work.grads);
+        pass_points(team, y[k], layer.in, work.inputs);
+        team.sync();
+        add_weight_gradient(team, layer, work, own[k]);
+        if (k > 0) {
+          multiply<Sums>(grad, layer.out, work.turned[k], layer.turned_row(), layer.in,
+                         [&](int tile, const Sums& s) { next[tile].set_masked(s, y[k][tile]); });
+          TT3D_UNROLL
+          for (int t = 0; t < kMaxTiles; ++t) grad[t] = next[t];
+        } else if (grad_x) {
+          multiply<Sums>(grad, layer.out, work.turned[0], layer.turned_row(), layer.in,
+                         [&](int tile, const Sums& s) {
+                           write_points(s, tile, layer.in, count, mine, back, grad_x);
+                         });
+        }
         team.sync();
       }
-      walk_back(team, work, begin);
     }
-    for (int64_t e = team.thread(); e < numbers; e += team.threads()) {
-      sums[first * numbers + e] = work.sums[e];
-    }
+    write_sums(team, own, back, sums + first * net.sums());
   }
 
  private:
-  template <typename Team>
-  TT3D_HD void walk_back(const Team& team, const HalfBuffers& work, int64_t begin) const {
-    Half *grad = work.grad, *next = work.next;
-    float* layer_sums = work.sums + net.sums();
-    for (int k = net.count - 1; k >= 0; --k) {
-      const int in = net.layer[k].in, out = net.layer[k].out;
-      const int width = in_tiles(in);
-      layer_sums -= width * in_tiles(out);
-      add_weight_gradient(team, grad, work.activations[k], out, in, layer_sums);
-      if (k > 0) {
-        const Half* y = work.activations[k];
-        each_of_product<true>(team, work.weights[k], width + 8, grad, in, in_tiles(out),
-                              work.staging, [&](int row, int p, float v) {
-                                const int at = row * kTeamRow + p;
-                                next[at] = to_half(static_cast<float>(y[at]) > 0 ? v : 0.0F);
-                              });
-      } else if (grad_x) {
-        const float back = 1 / *scale;
-        each_of_product<true>(team, work.weights[0], width + 8, grad, in, in_tiles(out),
-                              work.staging, [&](int row, int p, float v) {
-                                if (row < in && begin + p < count)
-                                  grad_x[row * count + begin + p] = v * back;
-                              });
+  /// Puts a warp's points into the team's memory, row by row.
+  template <typename Team, typename Factors>
+  TT3D_HD static void pass_points(const Team& team, const Factors (&x)[kMaxTiles], int numbers,
+                                  Half* memory) {
+    TT3D_UNROLL
+    for (int t = 0; t < kMaxTiles; ++t) {
+      if (t * kTile >= numbers) continue;
+      x[t].store(memory + team.warp() * kTile * kPassRow + t * kTile, kPassRow);
+    }
+  }
+
+  /// own += grads^T inputs over the team's points, for the warp's tiles of the layer.
+  template <typename Team, typename Sums>
+  TT3D_HD static void add_weight_gradient(const Team& team, const HalfNetwork::Layer& layer,
+                                          const HalfBuffers& work, Sums (&own)[Team::kShare]) {
+    const int columns = tiles_of(layer.in);
+    TT3D_UNROLL
+    for (int j = 0; j < Team::kShare; ++j) {
+      const int tile = team.warp() + j * team.warps();
+      if (tile >= layer.tiles()) continue;
+      const Half* g = work.grads + tile / columns * kTile;
+      const Half* x = work.inputs + tile % columns * kTile;
+      for (int p = 0; p < team.warps() * kTile; p += kTile) {
+        own[j].add_turned_product(g + p * kPassRow, x + p * kPassRow, kPassRow);
       }
-      team.sync();
-      Half* const done = grad;
-      grad = next;
-      next = done;
+    }
+  }
+
+  template <typename Team, typename Sums>
+  TT3D_HD void write_sums(const Team& team, const Sums (&own)[kLayers][Team::kShare], float factor,
+                          float* to) const {
+    TT3D_UNROLL
+    for (int k = 0; k < kLayers; ++k) {
+      TT3D_UNROLL
+      for (int j = 0; j < Team::kShare; ++j) {
+        const int tile = team.warp() + j * team.warps();
+        if (tile >= net.layer[k].tiles()) continue;
+        own[k][j].each([&](int row, int column, float v) {
+          to[(tile * kTile + row) * kTile + column] = v * factor;
+        });
+      }
+      to += net.layer[k].tiles() * kTile * kTile;
     }
   }
 };
 
-/// The CPU's team: one thread.
+/// The CPU's team: one thread, whose one lane holds whole tiles.
 struct OneThread {
-  /// What a tensor core does in its registers.
-  struct Tile {
-    float sum[kTile * kTile];
-    void clear() {
-      for (float& s : sum) s = 0;
+  struct Sums;
+
+  /// Factors of a product: row i, column j at [i * kTile + j].
+  struct Factors {
+    Half value[kTile * kTile];
+    template <typename Get>
+    void set(const Get& get) {
+      for (int e = 0; e < kTile * kTile; ++e) value[e] = get(e / kTile, e % kTile);
     }
-    void load(const float* from) {
-      for (int e = 0; e < kTile * kTile; ++e) sum[e] = from[e];
-    }
-    void store(float* to) const {
-      for (int e = 0; e < kTile * kTile; ++e) to[e] = sum[e];
-    }
-    /// += a b; a turned matrix is stored column by column.
-    template <bool kTurnedA, bool kTurnedB>
-    void add_product(const Half* a, int stride_a, const Half* b, int stride_b) {
-      float fa[kTile * kTile], fb[kTile * kTile];
-      for (int i = 0; i < kTile; ++i) {
-        for (int k = 0; k < kTile; ++k) {
-          fa[i * kTile + k] = kTurnedA ? a[k * stride_a + i] : a[i * stride_a + k];
-          fb[i * kTile + k] = kTurnedB ? b[k * stride_b + i] : b[i * stride_b + k];
-        }
+    /// What a rectifier makes of the sums.
+    void set_rectified(const Sums& sums) {
+      for (int e = 0; e < kTile * kTile; ++e) {
+        value[e] = clamp_to_half(sums.value[e] < 0 ? 0.0F : sums.value[e]);
       }
-      for (int i = 0; i < kTile; ++i) {
-        for (int k = 0; k < kTile; ++k) {
-          for (int j = 0; j < kTile; ++j) {
-            sum[i * kTile + j] += fa[i * kTile + k] * fb[k * kTile + j];
-          }
-        }
+    }
+    /// The sums where `positive` is, 0 elsewhere.
+    void set_masked(const Sums& sums, const Factors& positive) {
+      for (int e = 0; e < kTile * kTile; ++e) {
+        const bool open = static_cast<float>(positive.value[e]) > 0;
+        value[e] = clamp_to_half(open ? sums.value[e] : 0.0F);
       }
+    }
+    void store(Half* to, int stride) const {
+      for (int e = 0; e < kTile * kTile; ++e) to[e / kTile * stride + e % kTile] = value[e];
     }
   };
+
+  struct Sums {
+    float value[kTile * kTile];
+    void clear() {
+      for (float& v : value) v = 0;
+    }
+    /// += a b^T, b a tile of a matrix with rows of `stride`.
+    void add_product(const Factors& a, const Half* b, int stride) {
+      float fb[kTile * kTile];
+      for (int j = 0; j < kTile; ++j) {
+        for (int k = 0; k < kTile; ++k) fb[k * kTile + j] = b[j * stride + k];
+      }
+      for (int i = 0; i < kTile; ++i) {
+        for (int k = 0; k < kTile; ++k) {
+          const float factor = a.value[i * kTile + k];
+          for (int j = 0; j < kTile; ++j) value[i * kTile + j] += factor * fb[k * kTile + j];
+        }
+      }
+    }
+    /// += a^T b, both tiles of matrices with rows of `stride`.
+    void add_turned_product(const Half* a, const Half* b, int stride) {
+      for (int k = 0; k < kTile; ++k) {
+        float row[kTile];
+        for (int j = 0; j < kTile; ++j) row[j] = b[k * stride + j];
+        for (int i = 0; i < kTile; ++i) {
+          const float factor = a[k * stride + i];
+          for (int j = 0; j < kTile; ++j) value[i * kTile + j] += factor * row[j];
+        }
+      }
+    }
+    /// use(row, column, value) for what the lane holds: all.
+    template <typename Use>
+    void each(const Use& use) const {
+      for (int e = 0; e < kTile * kTile; ++e) use(e / kTile, e % kTile, value[e]);
+    }
+  };
+
+  /// Tiles of a layer's weight gradients that a warp sums.
+  static constexpr int kShare = kMaxTiles * kMaxTiles;
   static int thread() { return 0; }
   static int threads() { return 1; }
   static int warp() { return 0; }
   static int warps() { return 1; }
-  static int lane() { return 0; }
-  static int lanes() { return 1; }
   static void sync() {}
-  static void sync_warp() {}
 };
 
 /// Runs a share on each of `teams` teams. On the CPU over its threads; on the GPU a block each.
@@ -320,5 +395,12 @@ template <typename Share>
 void run_teams(const Cpu&, int64_t teams, const Share& share);
 template <typename Share>
 void run_teams(const Cuda& on, int64_t teams, const Share& share);
+/// Points that the executor's team takes at once.
+TT3D_HD int64_t team_points(const Cpu&) { return kTile; }
+constexpr int kTeamWarps = 8;  ///< on the GPU
+TT3D_HD int64_t team_points(const Cuda&) { return kTeamWarps * kTile; }
+
+/// Expands DEFINE(layers) for each number of layers.
+#define TT3D_FOR_EACH_DEPTH(DEFINE) DEFINE(1) DEFINE(2) DEFINE(3) DEFINE(4)
 
 }  // namespace tt3d::field

@@ -3,6 +3,9 @@
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/custom_function.h>
 
+#include <cmath>
+#include <type_traits>
+
 #include "half_mlp_math.h"
 #include "tt3d/device.h"
 #include "tt3d/field.h"
@@ -16,25 +19,40 @@ using torch::autograd::AutogradContext;
 using torch::autograd::Function;
 using torch::autograd::variable_list;
 
-/// The network for the loops in half precision; false where a team's memory cannot hold it.
+/// The network for the loops in half precision; false where it is too wide or too deep for them.
 bool network_of(const variable_list& weights, HalfNetwork& net) {
   if (weights.size() > kMaxHalfLayers) return false;
   net.count = static_cast<int>(weights.size());
   for (size_t k = 0; k < weights.size(); ++k) {
     const Tensor& w = weights[k];
-    if (w.scalar_type() != at::kFloat || w.numel() > kTeamBytes) return false;
+    constexpr int64_t kWidest = kMaxTiles * kTile;
+    if (w.scalar_type() != at::kFloat || w.size(0) > kWidest || w.size(1) > kWidest) return false;
     net.layer[k] = {w.const_data_ptr<float>(), static_cast<int>(w.size(1)),
                     static_cast<int>(w.size(0))};
   }
-  HalfBuffers work;
-  return work.lay_out(net, true, kTeamWarps, nullptr) <= kTeamBytes;
+  return true;
 }
 
-int64_t teams_for(int64_t points) {
-  return std::min((points + kTeamPoints - 1) / kTeamPoints, kMaxTeams);
+template <typename Executor>
+int64_t teams_for(const Executor& on, int64_t points) {
+  return std::min((points + team_points(on) - 1) / team_points(on), kMaxTeams);
 }
 
-/// The weights' gradients out of the teams' sums [teams, tiles one after another].
+/// Calls `body` with the number of layers as a constant.
+template <typename Body>
+void with_depth(int layers, const Body& body) {
+  switch (layers) {
+#define TT3D_CASE(LAYERS) \
+  case LAYERS:            \
+    return body(std::integral_constant<int, LAYERS>());
+    TT3D_FOR_EACH_DEPTH(TT3D_CASE)
+#undef TT3D_CASE
+    default:
+      return;
+  }
+}
+
+/// The weights' gradients out of their sums, tiles one after another.
 variable_list weight_gradients(const Tensor& sums, const variable_list& weights) {
   variable_list gradients;
   int64_t begin = 0;
@@ -53,13 +71,6 @@ variable_list weight_gradients(const Tensor& sums, const variable_list& weights)
   return gradients;
 }
 
-/// The power of two that brings the largest gradient near 2^8: far from float16's smallest number,
-/// with room for the sums of a layer below its largest.
-Tensor gradient_scale(const Tensor& grad) {
-  const Tensor largest = grad.abs().amax().clamp_min(1e-30);
-  return at::exp2(at::floor(at::log2(256 / largest)));
-}
-
 struct HalfMlp : public Function<HalfMlp> {
   static Tensor forward(AutogradContext* ctx, const Tensor& x_in, at::TensorList weights_in) {
     const Tensor x = x_in.contiguous();
@@ -70,10 +81,12 @@ struct HalfMlp : public Function<HalfMlp> {
     TORCH_CHECK(network_of(weights, net), "half_mlp: too wide, or not float32");
     const int64_t count = x.size(1);
     Tensor out = at::empty({weights.back().size(0), count}, x.options());
-    const HalfForward share = {net, x.const_data_ptr<float>(), out.mutable_data_ptr<float>(),
-                               count};
     if (count > 0) {
-      on_device_of(x, [&](const auto& on) { run_teams(on, teams_for(count), share); });
+      with_depth(net.count, [&](auto layers) {
+        const HalfForward<decltype(layers)::value> share = {net, x.const_data_ptr<float>(),
+                                                            out.mutable_data_ptr<float>(), count};
+        on_device_of(x, [&](const auto& on) { run_teams(on, teams_for(on, count), share); });
+      });
     }
     ctx->save_for_backward(saved);
     return out;
@@ -88,20 +101,27 @@ struct HalfMlp : public Function<HalfMlp> {
     Tensor grad_x;
     if (ctx->needs_input_grad(0)) grad_x = at::empty_like(x);
     variable_list results = {grad_x};
-    Tensor sums = at::zeros({std::max<int64_t>(teams_for(count), 1), net.sums()}, x.options());
+    Tensor sums = at::zeros({net.sums()}, x.options());
     if (count > 0) {
-      const Tensor grad = grads[0].contiguous(), scale = gradient_scale(grad);
-      const HalfBackward share = {net,
-                                  x.const_data_ptr<float>(),
-                                  grad.const_data_ptr<float>(),
-                                  scale.const_data_ptr<float>(),
-                                  grad_x.defined() ? grad_x.mutable_data_ptr<float>() : nullptr,
-                                  sums.mutable_data_ptr<float>(),
-                                  count};
-      on_device_of(x, [&](const auto& on) { run_teams(on, teams_for(count), share); });
-      sums = sums / scale;
+      const Tensor grad = grads[0].contiguous();
+      const Tensor largest = at::linalg_vector_norm(grad, INFINITY);
+      with_depth(net.count, [&](auto layers) {
+        on_device_of(x, [&](const auto& on) {
+          const Tensor of_teams = at::empty({teams_for(on, count), net.sums()}, x.options());
+          const HalfBackward<decltype(layers)::value> share = {
+              net,
+              x.const_data_ptr<float>(),
+              grad.const_data_ptr<float>(),
+              largest.const_data_ptr<float>(),
+              grad_x.defined() ? grad_x.mutable_data_ptr<float>() : nullptr,
+              of_teams.mutable_data_ptr<float>(),
+              count};
+          run_teams(on, of_teams.size(0), share);
+          sums = of_teams.sum(0);
+        });
+      });
     }
-    for (Tensor& g : weight_gradients(sums.sum(0), weights)) results.push_back(std::move(g));
+    for (Tensor& g : weight_gradients(sums, weights)) results.push_back(std::move(g));
     return results;
   }
 };

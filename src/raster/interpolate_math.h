@@ -52,20 +52,28 @@ struct InterpolateBackwardPixel {
   T* grad_attributes;  ///< may be null
   T* grad_rast;        ///< may be null
   Sizes s;
-  TT3D_HD void operator()(int64_t i) const { spread(i, s.channels, grad_attributes); }
-  TT3D_HD void spread(int64_t i, int64_t channels, T* sums) const {
-    const auto face = static_cast<int64_t>(rast[4 * i + 3]) - 1;
-    const T* grad = grad_out + i * channels;
-    if (grad_rast) set_grad_rast(i, face, channels, grad);
-    if (!sums || face < 0) return;
+  /// The triangle that pixel i shows, -1 where it shows none.
+  [[nodiscard]] TT3D_HD int64_t face_at(int64_t i) const {
+    return static_cast<int64_t>(rast[4 * i + 3]) - 1;
+  }
+  /// Of a corner of the triangle at covered pixel i.
+  [[nodiscard]] TT3D_HD T weight(int64_t i, int corner) const {
     const T u = rast[4 * i], v = rast[4 * i + 1];
-    const T weight[3] = {u, v, 1 - u - v};
+    return corner == 0 ? u : corner == 1 ? v : 1 - u - v;
+  }
+  TT3D_HD void spread(int64_t i, int64_t channels, T* sums) const {
+    const int64_t face = face_at(i);
+    if (grad_rast) set_grad_rast(i, face, channels);
+    if (!sums || face < 0) return;
+    const T* grad = grad_out + i * channels;
     for (int c = 0; c < 3; ++c) {
+      const T share = weight(i, c);
       T* out = sums + faces[3 * face + c] * channels;
-      for (int64_t k = 0; k < channels; ++k) accumulate(out + k, weight[c] * grad[k]);
+      for (int64_t k = 0; k < channels; ++k) accumulate(out + k, share * grad[k]);
     }
   }
-  TT3D_HD void set_grad_rast(int64_t i, int64_t face, int64_t channels, const T* grad) const {
+  TT3D_HD void set_grad_rast(int64_t i, int64_t face, int64_t channels) const {
+    const T* grad = grad_out + i * channels;
     T grad_u = 0, grad_v = 0;
     if (face >= 0) {
       const Corners<T> p = corners_of(attributes, faces, face, channels);

@@ -5,9 +5,7 @@
 namespace tt3d {
 
 #define TT3D_INSTANTIATE(T)                                                                        \
-  template void for_each_index(const Cuda&, int64_t, const raster::RasterizeBackwardPixel<T>&);    \
   template void for_each_index(const Cuda&, int64_t, const raster::InterpolatePixel<T>&);          \
-  template void for_each_index(const Cuda&, int64_t, const raster::InterpolateBackwardPixel<T>&);  \
   template void for_each_index(const Cuda&, int64_t, const raster::AttributeDerivativesPixel<T>&); \
   template void for_each_index(const Cuda&, int64_t, const raster::FacingFace<T>&);                \
   template void for_each_index(const Cuda&, int64_t, const raster::AntialiasPixel<T>&);            \

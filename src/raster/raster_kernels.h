@@ -14,21 +14,17 @@ namespace tt3d::raster {
 template <typename T>
 void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const Sizes& s);
 
-/// The GPU's rasterize in three launches, the memory between them being the caller's.
-/// Tiles are numbered view by view.
-int64_t tile_count(const Sizes& s);
-/// counts [tiles + 1], zeroed: adds to element t + 1 the triangles that can touch tile t.
+/// What the GPU's rasterize draws into; the memory is the caller's.
+struct DepthBuffer {
+  uint64_t* depth;  ///< [N,H,W] bits all set; the least depth so far, as a number that orders alike
+  uint32_t* face;   ///< [N,H,W] bits all set; the lowest triangle at that depth
+  int32_t* list;    ///< [N * F] triangles that more than a thread shall draw
+  int64_t* listed;  ///< [2] zeros; how many of them from the list's begin, and from its end
+};
+/// Writes every pixel of rast. N * F below 2^31.
 template <typename T>
-void count_tile_faces(const Cuda& on, const T* clip, const int32_t* faces, int64_t* counts,
-                      const Sizes& s);
-/// next [tiles]: where each tile's list begins; moved to where it ends. list: the lists.
-template <typename T>
-void fill_tile_lists(const Cuda& on, const T* clip, const int32_t* faces, int64_t* next,
-                     int32_t* list, const Sizes& s);
-/// begin [tiles + 1]: where each tile's list begins. Writes every pixel of rast.
-template <typename T>
-void draw_tiles(const Cuda& on, const T* clip, const int32_t* faces, const int64_t* begin,
-                const int32_t* list, T* rast, const Sizes& s);
+void rasterize(const Cuda& on, const T* clip, const int32_t* faces, const DepthBuffer& buffer,
+               T* rast, const Sizes& s);
 
 // Bodies whose pixels are independent.
 template <typename T>
@@ -66,6 +62,10 @@ void scatter(const Cpu&, const AntialiasBackwardPixel<T>& body);
 template <typename T>
 void scatter(const Cpu&, const TextureBackwardPixel<T>& body);
 
+template <typename T>
+void scatter(const Cuda& on, const RasterizeBackwardPixel<T>& body);
+template <typename T>
+void scatter(const Cuda& on, const InterpolateBackwardPixel<T>& body);
 template <typename Body>
 void scatter(const Cuda& on, const Body& body) {
   for_each_index(on, body.s.pixels(), body);

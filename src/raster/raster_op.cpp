@@ -44,32 +44,34 @@ T* pointer_or_null(const Tensor& t) {
 template <typename T>
 void run_rasterize(const Cpu& on, const Tensor& clip, const Tensor& faces, const Tensor& rast,
                    const raster::Sizes& s) {
+  rast.zero_();
   raster::rasterize(on, clip.const_data_ptr<T>(), faces.const_data_ptr<int32_t>(),
                     rast.mutable_data_ptr<T>(), s);
 }
 
-/// Count, prefix-sum, fill, draw. The length of all lists comes to the host, to allocate them.
 template <typename T>
 void run_rasterize(const Cuda& on, const Tensor& clip, const Tensor& faces, const Tensor& rast,
                    const raster::Sizes& s) {
-  const auto* points = clip.const_data_ptr<T>();
-  const auto* triangles = faces.const_data_ptr<int32_t>();
-  Tensor begin = at::zeros({raster::tile_count(s) + 1}, clip.options().dtype(at::kLong));
-  raster::count_tile_faces(on, points, triangles, begin.mutable_data_ptr<int64_t>(), s);
-  const int64_t total = counts_to_begins(begin);
-  const Tensor list = at::empty({total}, faces.options());
-  const Tensor next = begin.clone();
-  raster::fill_tile_lists(on, points, triangles, next.mutable_data_ptr<int64_t>(),
-                          list.mutable_data_ptr<int32_t>(), s);
-  raster::draw_tiles(on, points, triangles, begin.const_data_ptr<int64_t>(),
-                     list.const_data_ptr<int32_t>(), rast.mutable_data_ptr<T>(), s);
+  TORCH_CHECK(s.views * s.faces < (int64_t{1} << 31), "rasterize: too many triangles in all views");
+  const auto filled = [&](int64_t size, int64_t value, at::ScalarType type) {
+    return at::full({size}, value, clip.options().dtype(type));
+  };
+  const Tensor depth = filled(s.pixels(), -1, at::kLong), face = filled(s.pixels(), -1, at::kInt);
+  const Tensor list = at::empty({s.views * s.faces}, faces.options());
+  const Tensor listed = filled(2, 0, at::kLong);
+  const raster::DepthBuffer buffer = {
+      reinterpret_cast<uint64_t*>(depth.mutable_data_ptr<int64_t>()),
+      reinterpret_cast<uint32_t*>(face.mutable_data_ptr<int32_t>()),
+      list.mutable_data_ptr<int32_t>(), listed.mutable_data_ptr<int64_t>()};
+  raster::rasterize(on, clip.const_data_ptr<T>(), faces.const_data_ptr<int32_t>(), buffer,
+                    rast.mutable_data_ptr<T>(), s);
 }
 
 struct Rasterize : public Function<Rasterize> {
   static Tensor forward(AutogradContext* ctx, const Tensor& clip_in, const Tensor& faces,
                         int64_t height, int64_t width) {
     const Tensor clip = clip_in.contiguous();
-    Tensor rast = at::zeros({clip.size(0), height, width, 4}, clip.options());
+    Tensor rast = at::empty({clip.size(0), height, width, 4}, clip.options());
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
     TT3D_DISPATCH(clip, "rasterize", [&] {
       on_device_of(clip,

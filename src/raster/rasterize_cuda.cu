@@ -3,164 +3,272 @@
 #include "raster_kernels.h"
 #include "tt3d/cuda.h"
 
-// Triangles are binned to tiles; then a block draws a tile, a thread a pixel, the tile's triangles
-// passing through shared memory in batches. A list's order is the hardware's, the picture is not:
-// `hides` takes the nearest and at equal depth the lower index, whatever comes first.
+// Triangles come in any order and still show the CPU's picture: a pixel's depth is the least of all
+// that cover it, its triangle the lowest index at that depth, and minima know no order. A thread
+// takes a small triangle, a warp a large one, many warps one that fills the picture.
 namespace tt3d::raster {
 namespace {
 
-constexpr int kTile = 16;
-constexpr int kPixels = kTile * kTile;
-constexpr int kBatch = 64;
 constexpr int kWarp = 32;
+constexpr int kBlock = 256;
+/// Pixels of a triangle's bounds up to which it is small, and up to which it is one warp's.
+constexpr int64_t kSmall = 128, kLarge = 1 << 14;
+constexpr int64_t kSlices = 64;  ///< warps of one that is larger
+/// Blocks that share the large triangles; how many there are only the GPU knows.
+constexpr int kLargeBlocks = 1024;
 
-struct Tiles {
-  int64_t x, y;  ///< of a view
-  explicit Tiles(const Sizes& s)
-      : x((s.width + kTile - 1) / kTile), y((s.height + kTile - 1) / kTile) {}
+/// A depth in [-1,1] as a number without sign that grows with it. (0.0 makes -0 a 0.)
+__device__ uint64_t key_of(double depth) {
+  const auto bits = static_cast<uint64_t>(__double_as_longlong(depth + 0.0));
+  return bits >> 63 ? ~bits : bits | uint64_t{1} << 63;
+}
+
+__device__ void put_least(uint64_t* value, uint64_t candidate) {
+  static_assert(sizeof(unsigned long long) == sizeof(uint64_t));
+  if (candidate >= *value) return;  // it only sinks
+  atomicMin(reinterpret_cast<unsigned long long*>(value), candidate);
+}
+
+/// Triangles of all views.
+template <typename T>
+struct Triangles {
+  const T* clip;
+  const int32_t* faces;
+  DepthBuffer buffer;
+  Sizes s;
+
+  __device__ bool setup(int64_t i, TriangleSetup& t) const {
+    return setup_triangle(clip + i / s.faces * s.vertices * 4, faces + 3 * (i % s.faces), s.height,
+                          s.width, t);
+  }
+
+  /// Calls pass(pixel of all views, depth) for every `stride`-th pixel in triangle i's bounds from
+  /// `first` to before `last` that it covers.
+  template <typename Pass>
+  __device__ void visit(int64_t i, const TriangleSetup& t, int64_t first, int64_t last,
+                        int64_t stride, const Pass& pass) const {
+    const int64_t corner = i / s.faces * s.height * s.width;
+    const auto width = static_cast<unsigned>(t.x_end - t.x_begin);
+    for (int64_t k = first; k < last; k += stride) {
+      const unsigned down = static_cast<unsigned>(k) / width;
+      const int64_t row = t.y_begin + down;
+      const int64_t column = t.x_begin + (static_cast<unsigned>(k) - down * width);
+      Hit hit;
+      if (!hit_triangle(t, pixel_x(column, s.width), pixel_y(row, s.height), hit)) continue;
+      pass(corner + row * s.width + column, hit.zw);
+    }
+  }
 };
 
-/// Calls visit(tile) for the tiles that triangle i (of all views) can touch, a warp a triangle: its
-/// lanes take every 32nd tile, so that one that fills the picture is not one thread's work.
-template <typename T, typename Visit>
-__device__ void visit_tiles(const T* clip, const int32_t* faces, const Sizes& s, const Tiles& tiles,
-                            int64_t i, int lane, const Visit& visit) {
-  const int64_t view = i / s.faces;
-  TriangleSetup t;
-  if (!setup_triangle(clip + view * s.vertices * 4, faces + 3 * (i % s.faces), s.height, s.width,
-                      t)) {
-    return;
+__device__ int64_t pixels_of(const TriangleSetup& t) {
+  return static_cast<int64_t>(t.x_end - t.x_begin) * (t.y_end - t.y_begin);
+}
+
+/// First pass: the least depth of each pixel.
+template <typename T>
+struct DepthPass {
+  DepthBuffer buffer;
+  static constexpr bool kFirst = true;
+  __device__ DepthPass(const Triangles<T>& all, int64_t /*triangle*/) : buffer(all.buffer) {}
+  __device__ void operator()(int64_t pixel, double depth) const {
+    put_least(buffer.depth + pixel, key_of(depth));
   }
-  const int x0 = t.x_begin / kTile, y0 = t.y_begin / kTile;
-  const int columns = (t.x_end - 1) / kTile + 1 - x0, rows = (t.y_end - 1) / kTile + 1 - y0;
-  for (int k = lane; k < columns * rows; k += kWarp) {
-    visit((view * tiles.y + y0 + k / columns) * tiles.x + x0 + k % columns);
+};
+
+/// Second pass: the lowest triangle of those at that depth.
+template <typename T>
+struct FacePass {
+  DepthBuffer buffer;
+  uint32_t face;
+  static constexpr bool kFirst = false;
+  __device__ FacePass(const Triangles<T>& all, int64_t triangle)
+      : buffer(all.buffer), face(static_cast<uint32_t>(triangle % all.s.faces)) {}
+  __device__ void operator()(int64_t pixel, double depth) const {
+    if (key_of(depth) == buffer.depth[pixel]) atomicMin(buffer.face + pixel, face);
+  }
+};
+
+/// Draws small triangles; the first pass lists the others, large ones from the list's begin, those
+/// that are larger from its end.
+template <typename T, typename Pass>
+struct SmallTriangle {
+  Triangles<T> all;
+  __device__ void operator()(int64_t i) const {
+    TriangleSetup t;
+    if (!all.setup(i, t)) return;
+    const int64_t pixels = pixels_of(t);
+    if (pixels <= kSmall) {
+      all.visit(i, t, 0, pixels, 1, Pass(all, i));
+    } else if (Pass::kFirst) {
+      const bool large = pixels <= kLarge;
+      const int64_t place = take_place(all.buffer.listed + (large ? 0 : 1));
+      const int64_t count = all.s.views * all.s.faces;
+      all.buffer.list[large ? place : count - 1 - place] = static_cast<int32_t>(i);
+    }
+  }
+};
+
+/// Draws the listed ones, a warp a triangle or a slice of it.
+template <typename T, typename Pass>
+__global__ void __launch_bounds__(kBlock) large_kernel(Triangles<T> all) {
+  const int64_t warp = (static_cast<int64_t>(blockIdx.x) * kBlock + threadIdx.x) / kWarp;
+  const int64_t warps = static_cast<int64_t>(gridDim.x) * kBlock / kWarp;
+  const int lane = static_cast<int>(threadIdx.x) % kWarp;
+  const int64_t large = all.buffer.listed[0], larger = all.buffer.listed[1];
+  for (int64_t work = warp; work < large + larger * kSlices; work += warps) {
+    const int64_t slice = work < large ? 0 : (work - large) % kSlices;
+    const int64_t place =
+        work < large ? work : all.s.views * all.s.faces - 1 - (work - large) / kSlices;
+    const int64_t i = all.buffer.list[place];
+    TriangleSetup t;
+    if (!all.setup(i, t)) continue;  // a listed one was set up before: this succeeds again
+    const int64_t pixels = pixels_of(t), slices = work < large ? 1 : kSlices;
+    all.visit(i, t, slice * pixels / slices + lane, (slice + 1) * pixels / slices, kWarp,
+              Pass(all, i));
   }
 }
 
+/// What a pixel shows, once its triangle is known.
 template <typename T>
-struct CountTiles {
-  const T* clip;
-  const int32_t* faces;
-  int64_t* counts;
-  Sizes s;
-  Tiles tiles;
-  __device__ void operator()(int64_t thread) const {
-    visit_tiles(clip, faces, s, tiles, thread / kWarp, static_cast<int>(thread % kWarp),
-                [&](int64_t tile) { (void)take_place(counts + tile + 1); });
+struct ShownPixel {
+  Triangles<T> all;
+  T* rast;
+  __device__ void operator()(int64_t i) const {
+    T* out = rast + 4 * i;
+    const uint32_t face = all.buffer.face[i];
+    const PixelPlace at = place_of(i, all.s);
+    TriangleSetup t;
+    Hit hit = {};
+    if (face == UINT32_MAX || !all.setup(at.view * all.s.faces + face, t) ||
+        !hit_triangle(t, pixel_x(at.column, all.s.width), pixel_y(at.row, all.s.height), hit)) {
+      for (int k = 0; k < 4; ++k) out[k] = 0;
+      return;
+    }
+    const double scale = hit.scale();
+    out[0] = static_cast<T>(hit.e[0] * scale);
+    out[1] = static_cast<T>(hit.e[1] * scale);
+    out[2] = static_cast<T>(hit.zw);
+    out[3] = static_cast<T>(face + 1);
+  }
+};
+
+template <typename T, template <typename> typename Pass>
+void draw(const Cuda& on, const Triangles<T>& all) {
+  for_each_index(on, all.s.views * all.s.faces, SmallTriangle<T, Pass<T>>{all});
+  large_kernel<T, Pass<T>><<<kLargeBlocks, kBlock, 0, stream_of(on)>>>(all);
+  TT3D_CUDA_CHECK(cudaGetLastError());
+}
+
+// ---- Gradients: pixels that show the same triangle add together first ---------------------------
+
+/// Lanes of a warp beside each other with the same key.
+struct Run {
+  int lane, last;  ///< last: lane that ends the run
+  bool first;      ///< this lane begins it
+
+  __device__ explicit Run(int64_t key) : lane(static_cast<int>(threadIdx.x) % kWarp) {
+    const int64_t before = __shfl_up_sync(~0U, key, 1);
+    first = lane == 0 || key != before;
+    const unsigned begins = __ballot_sync(~0U, first);
+    const unsigned later = lane == kWarp - 1 ? 0 : begins >> (lane + 1);
+    last = later == 0 ? kWarp - 1 : lane + __ffs(static_cast<int>(later)) - 1;
+  }
+  /// The run's sum, for its first lane.
+  template <typename T>
+  __device__ T sum(T value) const {
+    for (int step = 1; step < kWarp; step *= 2) {
+      const T other = __shfl_down_sync(~0U, value, step);
+      if (lane + step <= last) value += other;
+    }
+    return value;
   }
 };
 
 template <typename T>
-struct FillLists {
-  const T* clip;
-  const int32_t* faces;
-  int64_t* next;
-  int32_t* list;
-  Sizes s;
-  Tiles tiles;
-  __device__ void operator()(int64_t thread) const {
-    const int64_t i = thread / kWarp;
-    visit_tiles(clip, faces, s, tiles, i, static_cast<int>(thread % kWarp), [&](int64_t tile) {
-      list[take_place(next + tile)] = static_cast<int32_t>(i % s.faces);
-    });
+__device__ void spread_run(const RasterizeBackwardPixel<T>& body, int64_t i, bool inside) {
+  const int64_t face = inside ? body.face_at(i) : -1;
+  if (__ballot_sync(~0U, face >= 0) == 0) return;
+  const PixelPlace at = place_of(i, body.s);
+  const int64_t vertex = at.view * body.s.vertices * 4;
+  TriangleRows rows;
+  if (face >= 0) {
+    body.add_pixel(i, load_triangle(body.clip + vertex, body.faces + 3 * face),
+                   pixel_x(at.column, body.s.width), pixel_y(at.row, body.s.height), rows);
   }
-};
+  const Run run(face < 0 ? -1 : at.view * body.s.faces + face);
+  for (ClipRow& row : rows.corner) {
+    row.x = run.sum(static_cast<T>(row.x));
+    row.y = run.sum(static_cast<T>(row.y));
+    row.w = run.sum(static_cast<T>(row.w));
+  }
+  if (face >= 0 && run.first) body.spread(face, rows, body.grad_clip + vertex);
+}
 
-/// What a pixel shows so far.
-struct Shown {
-  double u = 0, v = 0, depth = INFINITY;
-  int32_t face = -1;
-};
-
-/// Tests the pixel against the batch.
-__device__ void draw_batch(const TriangleSetup* setups, const int32_t* ids, int count,
-                           int64_t column, int64_t row, const Sizes& s, Shown& shown) {
-  const double px = pixel_x(column, s.width), py = pixel_y(row, s.height);
-  for (int k = 0; k < count; ++k) {
-    const TriangleSetup& t = setups[k];
-    if (column < t.x_begin || column >= t.x_end || row < t.y_begin || row >= t.y_end) continue;
-    Hit hit;
-    if (!hit_triangle(t, px, py, hit)) continue;
-    if (hides(hit.zw, ids[k], shown.depth, shown.face)) {
-      const double scale = hit.scale();
-      shown = {hit.e[0] * scale, hit.e[1] * scale, hit.zw, ids[k]};
+template <typename T>
+__device__ void spread_run(const InterpolateBackwardPixel<T>& body, int64_t i, bool inside) {
+  const int64_t face = inside ? body.face_at(i) : -1;
+  if (inside && body.grad_rast) body.set_grad_rast(i, face, body.s.channels);
+  if (!body.grad_attributes || __ballot_sync(~0U, face >= 0) == 0) return;
+  const Run run(face);
+  for (int corner = 0; corner < 3; ++corner) {
+    const T weight = face < 0 ? T{0} : body.weight(i, corner);
+    for (int64_t k = 0; k < body.s.channels; ++k) {
+      const T share = face < 0 ? T{0} : weight * body.grad_out[i * body.s.channels + k];
+      const T sum = run.sum(share);
+      if (face < 0 || !run.first) continue;
+      accumulate(body.grad_attributes + body.faces[3 * face + corner] * body.s.channels + k, sum);
     }
   }
 }
 
-template <typename T>
-__global__ void __launch_bounds__(kPixels)
-    draw_kernel(const T* clip, const int32_t* faces, const int64_t* begin, const int32_t* list,
-                T* rast, Sizes s, Tiles tiles) {
-  __shared__ TriangleSetup setups[kBatch];
-  __shared__ int32_t ids[kBatch];
-  const int64_t tile = blockIdx.x;
-  const int64_t view = tile / (tiles.x * tiles.y), place = tile % (tiles.x * tiles.y);
-  const int thread = static_cast<int>(threadIdx.x);
-  const int64_t column = place % tiles.x * kTile + thread % kTile;
-  const int64_t row = place / tiles.x * kTile + thread / kTile;
-  Shown shown;
-  for (int64_t first = begin[tile]; first < begin[tile + 1]; first += kBatch) {
-    const int64_t left = begin[tile + 1] - first;
-    const int count = left < kBatch ? static_cast<int>(left) : kBatch;
-    __syncthreads();  // the batch before is done with
-    if (thread < count) {
-      const int32_t face = list[first + thread];
-      ids[thread] = face;
-      // A listed triangle was set up before: this succeeds again.
-      (void)setup_triangle(clip + view * s.vertices * 4, faces + 3 * static_cast<int64_t>(face),
-                           s.height, s.width, setups[thread]);
-    }
-    __syncthreads();
-    draw_batch(setups, ids, count, column, row, s, shown);
+/// Whole warps go through the loop together: `inside` says which pixels there are.
+template <typename Body>
+__global__ void __launch_bounds__(kBlock) run_kernel(int64_t pixels, Body body) {
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * kBlock;
+  const int64_t lane = threadIdx.x % kWarp;
+  for (int64_t i = static_cast<int64_t>(blockIdx.x) * kBlock + threadIdx.x; i - lane < pixels;
+       i += stride) {
+    spread_run(body, i, i < pixels);
   }
-  if (column >= s.width || row >= s.height) return;
-  T* out = rast + 4 * ((view * s.height + row) * s.width + column);
-  const bool hit = shown.face >= 0;
-  out[0] = static_cast<T>(shown.u);
-  out[1] = static_cast<T>(shown.v);
-  out[2] = static_cast<T>(hit ? shown.depth : 0.0);
-  out[3] = static_cast<T>(shown.face + 1);
+}
+
+template <typename Body>
+void scatter_runs(const Cuda& on, const Body& body) {
+  const int64_t pixels = body.s.pixels();
+  if (pixels <= 0) return;
+  const int64_t blocks = std::min<int64_t>((pixels + kBlock - 1) / kBlock, 1 << 20);
+  run_kernel<<<static_cast<unsigned>(blocks), kBlock, 0, stream_of(on)>>>(pixels, body);
+  TT3D_CUDA_CHECK(cudaGetLastError());
 }
 
 }  // namespace
 
-int64_t tile_count(const Sizes& s) {
-  const Tiles tiles(s);
-  return s.views * tiles.x * tiles.y;
+template <typename T>
+void rasterize(const Cuda& on, const T* clip, const int32_t* faces, const DepthBuffer& buffer,
+               T* rast, const Sizes& s) {
+  const Triangles<T> all = {clip, faces, buffer, s};
+  if (s.views * s.faces > 0) {
+    draw<T, DepthPass>(on, all);
+    draw<T, FacePass>(on, all);
+  }
+  for_each_index(on, s.pixels(), ShownPixel<T>{all, rast});
 }
 
 template <typename T>
-void count_tile_faces(const Cuda& on, const T* clip, const int32_t* faces, int64_t* counts,
-                      const Sizes& s) {
-  const CountTiles<T> body = {clip, faces, counts, s, Tiles(s)};
-  for_each_index(on, s.views * s.faces * kWarp, body);
+void scatter(const Cuda& on, const RasterizeBackwardPixel<T>& body) {
+  scatter_runs(on, body);
 }
 
 template <typename T>
-void fill_tile_lists(const Cuda& on, const T* clip, const int32_t* faces, int64_t* next,
-                     int32_t* list, const Sizes& s) {
-  const FillLists<T> body = {clip, faces, next, list, s, Tiles(s)};
-  for_each_index(on, s.views * s.faces * kWarp, body);
+void scatter(const Cuda& on, const InterpolateBackwardPixel<T>& body) {
+  scatter_runs(on, body);
 }
 
-template <typename T>
-void draw_tiles(const Cuda& on, const T* clip, const int32_t* faces, const int64_t* begin,
-                const int32_t* list, T* rast, const Sizes& s) {
-  const int64_t tiles = tile_count(s);
-  if (tiles == 0) return;
-  draw_kernel<<<static_cast<unsigned>(tiles), kPixels, 0, stream_of(on)>>>(clip, faces, begin, list,
-                                                                           rast, s, Tiles(s));
-  TT3D_CUDA_CHECK(cudaGetLastError());
-}
-
-#define TT3D_INSTANTIATE(T)                                                                       \
-  template void count_tile_faces(const Cuda&, const T*, const int32_t*, int64_t*, const Sizes&);  \
-  template void fill_tile_lists(const Cuda&, const T*, const int32_t*, int64_t*, int32_t*,        \
-                                const Sizes&);                                                    \
-  template void draw_tiles(const Cuda&, const T*, const int32_t*, const int64_t*, const int32_t*, \
-                           T*, const Sizes&);
+#define TT3D_INSTANTIATE(T)                                                              \
+  template void rasterize(const Cuda&, const T*, const int32_t*, const DepthBuffer&, T*, \
+                          const Sizes&);                                                 \
+  template void scatter(const Cuda&, const RasterizeBackwardPixel<T>&);                  \
+  template void scatter(const Cuda&, const InterpolateBackwardPixel<T>&);
 TT3D_INSTANTIATE(float)
 TT3D_INSTANTIATE(double)
 #undef TT3D_INSTANTIATE

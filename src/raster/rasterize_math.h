@@ -292,16 +292,6 @@ struct RasterizeBackwardPixel {
   const T* grad_rast;
   T* grad_clip;
   Sizes s;
-  TT3D_HD void operator()(int64_t i) const {
-    const int64_t face = face_at(i);
-    if (face < 0) return;
-    const PixelPlace at = place_of(i, s);
-    const int64_t first = at.view * s.vertices * 4;
-    TriangleRows rows;
-    add_pixel(i, load_triangle(clip + first, faces + 3 * face), pixel_x(at.column, s.width),
-              pixel_y(at.row, s.height), rows);
-    spread(face, rows, grad_clip + first);
-  }
   /// The triangle whose vertices pixel i moves, -1 where it moves none.
   [[nodiscard]] TT3D_HD int64_t face_at(int64_t i) const {
     if (grad_rast[4 * i] == 0 && grad_rast[4 * i + 1] == 0) return -1;
