@@ -6,8 +6,8 @@
 The peers are no part of this project and never in its tree: build them from copies of your own and
 put them on PYTHONPATH; one that is missing is a line that says so. Ours runs as the program
 gpu_speed, a peer in this process; rounds alternate, a ratio is the median over rounds. --attack
-times the program on a run folder whose mesh is made, 64 views a step, against the same step
-written in PyTorch's eager mode a view at a time, as the official code works.
+times the program on a run folder whose mesh is made, 64 views of 400 x 400 pixels a step, against the
+same step written in PyTorch's eager mode a view at a time, as the official code works.
 """
 
 from __future__ import annotations
@@ -168,8 +168,8 @@ def attack_seconds(run: Path, surrogate: str, steps: int, views: int, *options: 
         subprocess.run(
             [TT3D, "attack", copy, "--target", "teapot", "--surrogate", surrogate, "--device",
              "cuda", "--set", f"attack.steps={steps}", "--set", f"attack.views_per_step={views}",
-             "-q", *options],
-            check=True, capture_output=True,
+             "--set", "attack.image_size=400", "-q", *options],
+            check=True, stdout=subprocess.DEVNULL,
         )  # fmt: skip
         record = json.loads((copy / "run.json").read_text(encoding="utf-8"))
         return next(s["seconds"] for s in record["stages"] if s["name"] == "attack")

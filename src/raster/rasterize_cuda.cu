@@ -12,7 +12,7 @@ namespace {
 constexpr int kWarp = 32;
 constexpr int kBlock = 256;
 /// Pixels of a triangle's bounds up to which it is small, and up to which it is one warp's.
-constexpr int64_t kSmall = 128, kLarge = 1 << 14;
+constexpr int64_t kSmall = 256, kLarge = 1 << 14;
 constexpr int64_t kSlices = 64;  ///< warps of one that is larger
 /// Blocks that share the large triangles; how many there are only the GPU knows.
 constexpr int kLargeBlocks = 1024;
