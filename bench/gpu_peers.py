@@ -6,8 +6,8 @@
 The peers are no part of this project and never in its tree: build them from copies of your own and
 put them on PYTHONPATH; one that is missing is a line that says so. Ours runs as the program
 gpu_speed, a peer in this process; rounds alternate, a ratio is the median over rounds. --attack
-times the program on a run folder whose mesh is made, 64 views of 400 x 400 pixels a step, against the
-same step written in PyTorch's eager mode a view at a time, as the official code works.
+times the program on a run folder whose mesh is made, 64 views of 400 x 400 pixels a step, against
+the same step written in PyTorch's eager mode a view at a time, as the official code works.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pathlib import Path
 
 import torch
 from page import markdown_table
-from peers import bumpy_ball, clip_positions
+from peers import WORK, bumpy_ball, clip_positions
 from safetensors.numpy import save_file
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -103,6 +103,39 @@ def tiny_cuda_nn_step(compiled: bool) -> Callable[[], None]:
     return step
 
 
+# ---- The GPU's limits ---------------------------------------------------------------------------
+
+#: Numbers in the training step's hash grid: 16 levels of at most 2^19 entries of 2.
+PARAMETERS = 12_285_336
+#: What a step cannot do without, in bytes: as bench/peers.py counts a picture, and Adam's seven
+#: passes over the parameters beside the grid's look-ups.
+BYTES = {
+    "colored_mesh 1x400": 236 * 400**2,
+    "colored_mesh 8x512": 236 * 8 * 512**2,
+    "colored_mesh 1x2048": 236 * 2048**2,
+    "training_step half": WORK["hash_encode_ours"][1] + 28 * PARAMETERS,
+    "training_step": WORK["hash_encode_ours"][1] + 28 * PARAMETERS,
+}
+#: Multiply-adds of a picture through ResNet-101 (7.8e9) and of its gradient to the picture.
+NETWORK = 2 * 7.8e9
+
+
+def bytes_a_second() -> float:
+    """Return how many bytes a copy on the device reads and writes."""
+    source = torch.rand(1 << 29, device=GPU)
+    target = torch.empty_like(source)
+    return 2 * source.nbytes / (1e-3 * sustained_ms(lambda: target.copy_(source)))
+
+
+def multiply_adds_a_second() -> float:
+    """Return what a large matrix product in TF32 does, as convolutions compute by default."""
+    allowed, torch.backends.cuda.matmul.allow_tf32 = torch.backends.cuda.matmul.allow_tf32, True
+    a = torch.rand(8192, 8192, device=GPU)
+    seconds = 1e-3 * sustained_ms(lambda: a.mm(a))
+    torch.backends.cuda.matmul.allow_tf32 = allowed
+    return 8192**3 / seconds
+
+
 def ours(mesh: Path) -> dict[str, float]:
     """Return milliseconds of our steps."""
     done = subprocess.run([PROGRAM, "--peers", mesh], check=True, capture_output=True, text=True)
@@ -142,7 +175,7 @@ def compare_kernels(rounds: int) -> str:
         "training_step half, compiled": "the same, with its `jit_fusion`",
         "training_step": "the first, ours in float32",
     }
-    rows = []
+    rows, roof = [], bytes_a_second()
     for name, label in labels.items():
         mine_name = name.removesuffix(", compiled")
         peer_name = "training_step half" if name == "training_step" else name
@@ -152,8 +185,11 @@ def compare_kernels(rounds: int) -> str:
             theirs = statistics.median(p[peer_name] for _, p in pairs)
             ratio = statistics.median(p[peer_name] / m[mine_name] for m, p in pairs)
             row[2:] = [f"{theirs:.3f}", f"{ratio:.2f}"]
+        row.append(f"{100 * BYTES[mine_name] / (1e-3 * mine) / roof:.0f} % of bytes")
         rows.append(row)
-    table = markdown_table(["against", "tt3d, ms", "peer, ms", "peer / tt3d"], rows)
+    header = ["against", "tt3d, ms", "peer, ms", "peer / tt3d", "share of the roof"]
+    table = markdown_table(header, rows)
+    table += f"\nThe roof, measured in the same run: a copy moves {roof / 1e12:.1f} TB/s.\n"
     return table + "".join(f"\nNot here: {line}.\n" for line in missing)
 
 
@@ -245,14 +281,19 @@ def eager_step() -> Callable[[], None]:
 def compare_attack(run: Path, surrogate: str) -> str:
     """Return the table of whole attacks."""
     theirs = 1e3 / sustained_ms(eager_step())
-    rows = [["eager PyTorch, a view a step", f"{theirs:.1f}", "1.0"]]
+    roof = multiply_adds_a_second() / NETWORK
+    rows = [
+        ["eager PyTorch, a view a step", f"{theirs:.1f}", "1.0", f"{100 * theirs / roof:.1f} %"]
+    ]
     for label, options in [
         ("tt3d, 64 views a step", []),
         ("the same, `--half-mlp --cuda-graphs`", ["--half-mlp", "--cuda-graphs"]),
     ]:
         mine = pictures_a_second(run, surrogate, *options)
-        rows.append([label, f"{mine:.1f}", f"{mine / theirs:.1f}"])
-    return markdown_table([f"attack through {surrogate}", "pictures a second", "ratio"], rows)
+        rows.append([label, f"{mine:.1f}", f"{mine / theirs:.1f}", f"{100 * mine / roof:.1f} %"])
+    header = [f"attack through {surrogate}", "pictures a second", "ratio", "share of the roof"]
+    table = markdown_table(header, rows)
+    return table + f"\nThe roof: the network's multiply-adds alone, in TF32: {roof:.0f} a second.\n"
 
 
 def main() -> None:
