@@ -47,7 +47,7 @@ struct HashGridShape {
 
 /// The same in mixed precision: factors rounded to float16, sums in float32, layers fused on tensor
 /// cores. Gradients are scaled on their way, so that small ones survive. float32 x and weights; at
-/// most 4 layers that fit in a GPU's shared memory together (three of 64 numbers take half of it).
+/// most 4 layers of at most 64 numbers.
 /// What `mlp` does on the GPU under GpuOptions::half_mlp; on the CPU the same roundings, slowly.
 [[nodiscard]] at::Tensor half_mlp(const at::Tensor& x, const std::vector<at::Tensor>& weights);
 
