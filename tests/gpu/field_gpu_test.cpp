@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
+
 #include "field/rays.h"
 #include "gpu/both_devices.h"
 #include "support/stop_after.h"
@@ -76,13 +78,21 @@ TEST_F(FieldOnGpu, MlpAndItsGradients) {
 }
 
 TEST_F(FieldOnGpu, HalfMlpRoundsAsOnTheCpu) {
-  for (const int64_t count : {1, 64, 1000, 70000}) {
-    const auto network = [](const auto& in) { return half_mlp(in[0], {in[1], in[2], in[3]}); };
-    std::vector<Tensor> inputs = {uniform({35, count}, -1, 1, 9), uniform({64, 35}, -0.3, 0.3, 6),
-                                  uniform({64, 64}, -0.3, 0.3, 7), uniform({6, 64}, -0.3, 0.3, 8)};
-    for (Tensor& t : inputs) t = t.to(at::kFloat);
-    // Sums in another order may round an activation the other way, to 0 and back.
-    expect_same("half_mlp", gpu, network, inputs, 1e-3, testing::relative_length);
+  // The field's three networks, one of as many layers as fit, and one of a single number.
+  for (const auto& widths : std::vector<std::vector<int64_t>>{
+           {35, 64, 64, 6}, {19, 32, 1}, {6, 32, 3}, {7, 19, 13, 33, 3}, {1, 1}}) {
+    for (const int64_t count : {1, 15, 129, 1000, 70000}) {
+      std::vector<Tensor> inputs = {uniform({widths[0], count}, -1, 1, 9).to(at::kFloat)};
+      for (size_t k = 0; k + 1 < widths.size(); ++k) {
+        const double bound = std::sqrt(3.0 / static_cast<double>(widths[k]));
+        inputs.push_back(uniform({widths[k + 1], widths[k]}, -bound, bound, 6 + k).to(at::kFloat));
+      }
+      const auto network = [](const auto& in) {
+        return half_mlp(in[0], std::vector<Tensor>(in.begin() + 1, in.end()));
+      };
+      // Sums in another order may round an activation the other way, to 0 and back.
+      expect_same("half_mlp", gpu, network, inputs, 2e-3, testing::relative_length);
+    }
   }
 }
 
