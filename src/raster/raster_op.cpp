@@ -69,7 +69,7 @@ struct Rasterize : public Function<Rasterize> {
   static Tensor forward(AutogradContext* ctx, const Tensor& clip_in, const Tensor& faces,
                         int64_t height, int64_t width) {
     const Tensor clip = clip_in.contiguous();
-    Tensor rast = at::zeros({clip.size(0), height, width, 4}, clip.options());
+    Tensor rast = at::empty({clip.size(0), height, width, 4}, clip.options());  // all are written
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
     TT3D_DISPATCH(clip, "rasterize", [&] {
       on_device_of(clip,
