@@ -16,7 +16,11 @@ constexpr int kBatch = 64;
 
 /// Columns of the blocks of pixels that are tested at once: most triangles of a fine mesh fit into
 /// one or two blocks.
-constexpr int kColumns = 4;
+constexpr int kColumns = 4, kRows = 2;
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+/// The least depth beyond the far plane: what hides a pixel that shows nothing lies before it.
+constexpr double kBeyond = 1 + std::numeric_limits<double>::epsilon();
 
 template <typename T, int kCount>
 struct VectorOf {
@@ -26,6 +30,9 @@ template <typename T, int kCount>
 using Vector = typename VectorOf<T, kCount>::Type;
 template <typename T>
 using Row = Vector<T, kColumns>;
+/// Whole numbers of a number's size.
+template <typename T>
+using WholeAs = std::conditional_t<sizeof(T) == sizeof(int32_t), int32_t, int64_t>;
 
 template <typename Vector, typename T>
 TT3D_HD Vector load(const T* from) {
@@ -35,22 +42,21 @@ TT3D_HD Vector load(const T* from) {
 }
 
 /// What rows [y_begin,y_end) of a view show, a plane for each number of a pixel: a block's row is a
-/// vector in each. Blocks reach beyond the last column and row, and so do the planes.
+/// vector in each. Blocks and vectors of rows reach beyond the last ones, and so do the planes.
 template <typename T>
 struct Band {
-  static constexpr int kMoreRows = 1;  // of a block
   int64_t width;
   int y_begin, y_end;
-  std::vector<double> depth;   ///< infinite where nothing is shown
+  std::vector<double> depth;   ///< kBeyond where nothing is shown
   std::vector<T> u, v, shown;  ///< shown: triangle + 1, or 0
-  std::vector<double> px, py;  ///< coordinates of columns, and of rows, each kColumns times
+  std::vector<double> px, py;  ///< coordinates of columns and rows
   Band(const Sizes& s, int64_t first, int64_t last)
       : width(s.width), y_begin(static_cast<int>(first)), y_end(static_cast<int>(last)) {
-    const int64_t rows = last - first + kMoreRows, pixels = rows * width + kColumns;
-    depth.resize(pixels, std::numeric_limits<double>::infinity());
+    const int64_t rows = last - first + kColumns, pixels = rows * width + kColumns;
+    depth.resize(pixels, kBeyond);
     for (auto* plane : {&u, &v, &shown}) plane->resize(pixels);
     for (int64_t x = 0; x < width + kColumns; ++x) px.push_back(pixel_x(x, width));
-    for (int64_t y = 0; y < rows; ++y) py.insert(py.end(), kColumns, pixel_y(first + y, s.height));
+    for (int64_t y = 0; y < rows; ++y) py.push_back(pixel_y(first + y, s.height));
   }
 };
 
@@ -153,12 +159,11 @@ template <typename T>
 struct Painter {
   typedef Row<double> Lanes;
   typedef Row<int64_t> Mask;
-  static constexpr Mask kColumnOfLane = {0, 1, 2, 3};
-  static constexpr int kRows = Band<T>::kMoreRows + 1;
-  /// The values of a triangle's functions in a row of a block.
+  /// The values of a triangle's functions: three edges', then the depth's.
   struct Values {
-    Lanes e[3], zw;
+    Lanes of[4];
   };
+  static constexpr Mask kPlace = {0, 1, 2, 3};
 
   Band<T>& band;
 
@@ -172,65 +177,77 @@ struct Painter {
 
   /// Writes the lanes of a mask to a plane.
   template <typename Number>
-  TT3D_HD static void put(const Lanes& value, const Mask& mask, Number* plane) {
-    typedef std::conditional_t<sizeof(Number) == 4, int32_t, int64_t> Whole;
-    const Row<Number> row = __builtin_convertvector(mask, Row<Whole>)
-                                ? __builtin_convertvector(value, Row<Number>)
-                                : load<Row<Number>>(plane);
+  TT3D_HD static void put(const Row<Number>& value, const Row<WholeAs<Number>>& mask,
+                          Number* plane) {
+    typedef Row<WholeAs<Number>> Bits;
+    const Bits row = (mask & reinterpret_cast<const Bits&>(value)) | (~mask & load<Bits>(plane));
     std::memcpy(plane, &row, sizeof row);
   }
 
-  /// Adds to the lanes hit in a row those that lie inside although an edge function is 0 there.
-  TT3D_HD static void add_ties(const TriangleSetup& t, const Values& at, const Mask& lanes,
-                               Mask& hit) {
+  /// Takes from the lanes that a row hits those where an edge function is 0 and which lie outside.
+  TT3D_HD static void settle_ties(const TriangleSetup& t, const Values& at, Mask& hit) {
     for (int i = 0; i < kColumns; ++i) {
-      const double e[3] = {at.e[0][i], at.e[1][i], at.e[2][i]};
-      if (lanes[i] && inside(t, e)) hit[i] = -1;
+      const double e[3] = {at.of[0][i], at.of[1][i], at.of[2][i]};
+      if (!inside(t, e)) hit[i] = 0;
     }
   }
 
-  /// Draws a triangle in the columns of a mask and a number of rows of a block, whose first pixel
-  /// in the band is `first`. Triangles come in order: at equal depth the lower index stays.
-  TT3D_HD void draw_block(const TriangleSetup& t, T number, const Mask& columns, int64_t rows,
-                          const Values (&at)[kRows], int64_t first) const {
-    Mask hit[kRows], lanes[kRows], tied = {}, some = {};
+  /// Draws a triangle in a block, whose first pixel in the band is `first`. Triangles come in
+  /// order: at equal depth the lower index stays.
+  TT3D_HD void draw_block(const TriangleSetup& t, T number, const Values (&at)[kRows],
+                          int64_t first) const {
+    double* depth = band.depth.data() + first;
+    Lanes smallest[kRows];
+    Mask hit[kRows], some = {}, tied = {};
     for (int r = 0; r < kRows; ++r) {
-      const Lanes smallest = least(at[r].e[0], at[r].e[1], at[r].e[2]);
-      lanes[r] = columns & (r < rows ? -1 : 0) & in_depth(at[r].zw) &
-                 (at[r].zw < load<Lanes>(band.depth.data() + first + r * band.width));
-      hit[r] = lanes[r] & (smallest > 0);
-      tied |= lanes[r] & (smallest == 0);
+      const Lanes& zw = at[r].of[3];
+      smallest[r] = least(at[r].of[0], at[r].of[1], at[r].of[2]);
+      hit[r] = (smallest[r] >= 0) & (zw >= -1) & (zw < load<Lanes>(depth + r * band.width));
       some |= hit[r];
     }
-    if (!any(some | tied)) return;
+    if (!any(some)) return;
+    for (int r = 0; r < kRows; ++r) tied |= hit[r] & (smallest[r] == 0);
     if (__builtin_expect(any(tied), 0)) {
-      for (int r = 0; r < kRows; ++r) add_ties(t, at[r], lanes[r], hit[r]);
+      for (int r = 0; r < kRows; ++r) settle_ties(t, at[r], hit[r]);
     }
-    for (int r = 0; r < kRows; ++r) {
-      const Lanes scale = 1 / (at[r].e[0] + at[r].e[1] + at[r].e[2]);
-      const int64_t pixel = first + r * band.width;
-      put(at[r].zw, hit[r], band.depth.data() + pixel);
-      put(at[r].e[0] * scale, hit[r], band.u.data() + pixel);
-      put(at[r].e[1] * scale, hit[r], band.v.data() + pixel);
-      put(Lanes{} + static_cast<double>(number), hit[r], band.shown.data() + pixel);
-    }
+    for (int r = 0; r < kRows; ++r) put_row(number, at[r], hit[r], first + r * band.width);
+  }
+
+  TT3D_HD void put_row(T number, const Values& at, const Mask& hit, int64_t pixel) const {
+    const Lanes scale = 1 / (at.of[0] + at.of[1] + at.of[2]);
+    const auto lanes = __builtin_convertvector(hit, Row<WholeAs<T>>);
+    put(at.of[3], hit, band.depth.data() + pixel);
+    put(__builtin_convertvector(at.of[0] * scale, Row<T>), lanes, band.u.data() + pixel);
+    put(__builtin_convertvector(at.of[1] * scale, Row<T>), lanes, band.v.data() + pixel);
+    put(Row<T>{} + number, lanes, band.shown.data() + pixel);
+  }
+
+  /// The functions' parts of columns, or of rows, four at once. Beyond the triangle's bounds the
+  /// depth is infinite: nothing is drawn there.
+  TT3D_HD static Values parts_of_columns(const TriangleSetup& t, const Lanes& px, int count) {
+    Values part;
+    for (int k = 0; k < 3; ++k) part.of[k] = t.edge[k].of_column(px);
+    part.of[3] = kPlace < count ? t.depth.of_column(px) : Lanes{} + kInfinity;
+    return part;
+  }
+  TT3D_HD static Values parts_of_rows(const TriangleSetup& t, const Lanes& py, int count) {
+    Values part;
+    for (int k = 0; k < 3; ++k) part.of[k] = t.edge[k].of_row(py);
+    part.of[3] = kPlace < count ? t.depth.of_row(py) : Lanes{} + kInfinity;
+    return part;
   }
 
   TT3D_HD void draw_triangle(const TriangleSetup& t, T number) const {
     for (int x = t.x_begin; x < t.x_end; x += kColumns) {
-      const Lanes px = load<Lanes>(band.px.data() + x);
-      Lanes of_column[4];
-      for (int k = 0; k < 3; ++k) of_column[k] = t.edge[k].of_column(px);
-      of_column[3] = t.depth.of_column(px);
+      const Values column = parts_of_columns(t, load<Lanes>(band.px.data() + x), t.x_end - x);
       for (int y = t.y_begin; y < t.y_end; y += kRows) {
-        const int64_t row = y - band.y_begin;
+        const int64_t line = y - band.y_begin;
+        const Values row = parts_of_rows(t, load<Lanes>(band.py.data() + line), t.y_end - y);
         Values at[kRows];
         for (int r = 0; r < kRows; ++r) {
-          const Lanes py = load<Lanes>(band.py.data() + kColumns * (row + r));
-          for (int k = 0; k < 3; ++k) at[r].e[k] = of_column[k] + t.edge[k].of_row(py);
-          at[r].zw = of_column[3] + t.depth.of_row(py);
+          for (int k = 0; k < 4; ++k) at[r].of[k] = column.of[k] + row.of[k][r];
         }
-        draw_block(t, number, kColumnOfLane < t.x_end - x, t.y_end - y, at, row * band.width + x);
+        draw_block(t, number, at, line * band.width + x);
       }
     }
   }
