@@ -299,6 +299,7 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, 
     const double py = pixel_y(y, body.s.height);
     for (int64_t x = std::max<int64_t>(first - row, 0); x < end; ++x) {
       const int64_t i = offset + row + x, face = body.face_at(i);
+      const double px = pixel_x(x, body.s.width);  // here, so that its division leaves the loop
       if (face < 0) continue;
       if (face != shown) {
         if (shown >= 0) body.spread(shown, rows, sums);
@@ -306,7 +307,7 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, 
         rows = {};
         shown = face;
       }
-      body.add_pixel(i, triangle, pixel_x(x, body.s.width), py, rows);
+      body.add_pixel(i, triangle, px, py, rows);
     }
   }
   if (shown >= 0) body.spread(shown, rows, sums);

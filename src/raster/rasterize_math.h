@@ -344,19 +344,24 @@ TT3D_HD BarycentricSlopes barycentric_slopes(const T* clip, const int32_t* face)
           {e[0].a + e[1].a + e[2].a, e[0].b + e[1].b + e[2].b, e[0].c + e[1].c + e[2].c}};
 }
 
+/// From a pixel to the next one to the right and below, in normalised device coordinates.
+struct PixelSteps {
+  double x, y;
+  TT3D_HD explicit PixelSteps(const Sizes& s)
+      : x(2.0 / static_cast<double>(s.width)), y(-2.0 / static_cast<double>(s.height)) {}
+};
+
 /// Derivatives of (u,v) with respect to the pixel's position, per pixel, y down.
 /// out = {du/dx, du/dy, dv/dx, dv/dy}.
 TT3D_HD void barycentric_derivatives(const BarycentricSlopes& t, double px, double py,
-                                     int64_t height, int64_t width, double out[4]) {
-  const double x_step = 2.0 / static_cast<double>(width);
-  const double y_step = -2.0 / static_cast<double>(height);
+                                     const PixelSteps& step, double out[4]) {
   const double sum = t.sum.at(px, py);
   const double inverse = sum != 0 ? 1.0 / sum : 0.0;
   for (int k = 0; k < 2; ++k) {
     const double weight = t.edge[k].at(px, py) * inverse;
     double* row = out + 2 * static_cast<int64_t>(k);
-    row[0] = (t.edge[k].a - weight * t.sum.a) * inverse * x_step;
-    row[1] = (t.edge[k].b - weight * t.sum.b) * inverse * y_step;
+    row[0] = (t.edge[k].a - weight * t.sum.a) * inverse * step.x;
+    row[1] = (t.edge[k].b - weight * t.sum.b) * inverse * step.y;
   }
 }
 

@@ -45,7 +45,8 @@ TT3D_HD double mip_level(const double d[4], int64_t height, int64_t width, int64
   const double along_y = d[1] * d[1] * w * w + d[3] * d[3] * h * h;
   const double longer = along_x > along_y ? along_x : along_y;
   if (!(longer > 1)) return 0;
-  const double level = 0.5 * log2(longer);
+  // In float: it costs half, and no level of a chain is that finely divided.
+  const auto level = 0.5 * static_cast<double>(log2f(static_cast<float>(longer)));
   const auto last = static_cast<double>(levels - 1);
   return level < last ? level : last;
 }
@@ -151,10 +152,12 @@ struct TexturePixel {
       const Footprint f =
           footprint_of(static_cast<double>(uv[2 * i]), static_cast<double>(uv[2 * i + 1]),
                        level.height, level.width);
-      for (int k = 0; k < 4; ++k) {
-        const T weight = static_cast<T>(share * f.weight[k]);
-        const T* texel = level.texels + f.texel[k] * channels;
-        for (int64_t c = 0; c < channels; ++c) to[c] += weight * texel[c];
+      for (int64_t c = 0; c < channels; ++c) {
+        T sum = to[c];
+        for (int k = 0; k < 4; ++k) {
+          sum += static_cast<T>(share * f.weight[k]) * level.texels[f.texel[k] * channels + c];
+        }
+        to[c] = sum;
       }
     }
   }
@@ -182,12 +185,10 @@ struct TextureBackwardPixel {
       const Footprint f =
           footprint_of(static_cast<double>(uv[2 * i]), static_cast<double>(uv[2 * i + 1]),
                        level.height, level.width);
-      for (int k = 0; k < 4; ++k) {
-        const int64_t first = f.texel[k] * channels;
-        const T* g = grad_out + i * channels;
-        if (level.grad) add_texel(level.grad + first, g, channels, share * f.weight[k]);
-        if (!grad_uv) continue;
-        const double along = share * along_texel(level.texels + first, g, channels);
+      const T* g = grad_out + i * channels;
+      if (level.grad) add_texels(level.grad, f, share, g, channels);
+      for (int k = 0; grad_uv && k < 4; ++k) {
+        const double along = share * along_texel(level.texels + f.texel[k] * channels, g, channels);
         du += along * f.du[k];
         dv += along * f.dv[k];
       }
@@ -197,9 +198,13 @@ struct TextureBackwardPixel {
     grad_uv[2 * i + 1] = static_cast<T>(dv);
   }
 
-  TT3D_HD static void add_texel(T* grad, const T* g, int64_t channels, double weight) {
+  TT3D_HD static void add_texels(T* grad, const Footprint& f, double share, const T* g,
+                                 int64_t channels) {
     for (int64_t c = 0; c < channels; ++c) {
-      accumulate(grad + c, static_cast<T>(static_cast<double>(g[c]) * weight));
+      const T along = g[c];
+      for (int k = 0; k < 4; ++k) {
+        accumulate(grad + f.texel[k] * channels + c, static_cast<T>(share * f.weight[k]) * along);
+      }
     }
   }
 
