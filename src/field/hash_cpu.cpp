@@ -177,13 +177,11 @@ void hash_encode(const Cpu&, const T* points, const T* table, T* out, int64_t co
   const auto encode = encode_loop<T>(features);
   const int64_t chunks = (count + kChunk - 1) / kChunk;
   // Levels outermost, so that a thread's level table stays in its cache.
-  at::parallel_for(0, levels.count * chunks, 1, [&](int64_t first, int64_t last) {
-    for (int64_t task = first; task < last; ++task) {
-      const int64_t l = task / chunks, begin = task % chunks * kChunk;
-      const HashLevel& level = levels.level[l];
-      encode(points, table + level.offset * features, out + l * features * count, begin,
-             std::min(count, begin + kChunk), count, level);
-    }
+  for_each_task(levels.count * chunks, [&](int64_t task) {
+    const int64_t l = task / chunks, begin = task % chunks * kChunk;
+    const HashLevel& level = levels.level[l];
+    encode(points, table + level.offset * features, out + l * features * count, begin,
+           std::min(count, begin + kChunk), count, level);
   });
 }
 
@@ -191,14 +189,12 @@ template <typename T>
 void hash_encode_backward(const Cpu&, const T* points, const T* grad_out, T* grad_table,
                           int64_t count, const HashLevels& levels, int64_t features) {
   const auto scatter = scatter_loop<T>(features);
-  // A level is one thread's. Coarse ones cost less than fine ones: each thread gets some of both.
-  at::parallel_for(0, levels.count, 1, [&](int64_t first, int64_t last) {
-    for (int64_t task = first; task < last; ++task) {
-      const int64_t l = task % 2 == 0 ? task / 2 : levels.count - 1 - task / 2;
-      const HashLevel& level = levels.level[l];
-      scatter(points, grad_out + l * features * count, grad_table + level.offset * features, count,
-              level);
-    }
+  // A level is one thread's. Fine ones cost the most.
+  for_each_task(levels.count, [&](int64_t task) {
+    const int64_t l = levels.count - 1 - task;
+    const HashLevel& level = levels.level[l];
+    scatter(points, grad_out + l * features * count, grad_table + level.offset * features, count,
+            level);
   });
 }
 

@@ -104,23 +104,24 @@ struct AttributeDerivativesPixel {
     const PixelPlace at = place_of(i, s);
     BarycentricSlopes slopes = {};
     if (face >= 0) slopes = barycentric_slopes(clip + at.view * s.vertices * 4, faces + 3 * face);
-    write(i, face, slopes, pixel_x(at.column, s.width), pixel_y(at.row, s.height));
+    write(i, face, slopes, pixel_x(at.column, s.width), pixel_y(at.row, s.height), PixelSteps(s),
+          s.channels);
   }
   /// The triangle that pixel i shows, -1 where it shows none.
   [[nodiscard]] TT3D_HD int64_t face_at(int64_t i) const {
     return static_cast<int64_t>(rast[4 * i + 3]) - 1;
   }
-  TT3D_HD void write(int64_t i, int64_t face, const BarycentricSlopes& slopes, double px,
-                     double py) const {
-    T* to = out + 2 * i * s.channels;
+  TT3D_HD void write(int64_t i, int64_t face, const BarycentricSlopes& slopes, double px, double py,
+                     const PixelSteps& step, int64_t channels) const {
+    T* to = out + 2 * i * channels;
     if (face < 0) {
-      for (int64_t k = 0; k < 2 * s.channels; ++k) to[k] = 0;
+      for (int64_t k = 0; k < 2 * channels; ++k) to[k] = 0;
       return;
     }
     double d[4];
-    barycentric_derivatives(slopes, px, py, s.height, s.width, d);
-    const Corners<T> p = corners_of(attributes, faces, face, s.channels);
-    for (int64_t k = 0; k < s.channels; ++k) {
+    barycentric_derivatives(slopes, px, py, step, d);
+    const Corners<T> p = corners_of(attributes, faces, face, channels);
+    for (int64_t k = 0; k < channels; ++k) {
       const auto along_u = static_cast<double>(p.a[k] - p.c[k]);
       const auto along_v = static_cast<double>(p.b[k] - p.c[k]);
       to[2 * k] = static_cast<T>(along_u * d[0] + along_v * d[2]);

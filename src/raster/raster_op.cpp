@@ -44,7 +44,6 @@ T* pointer_or_null(const Tensor& t) {
 template <typename T>
 void run_rasterize(const Cpu& on, const Tensor& clip, const Tensor& faces, const Tensor& rast,
                    const raster::Sizes& s) {
-  rast.zero_();
   raster::rasterize(on, clip.const_data_ptr<T>(), faces.const_data_ptr<int32_t>(),
                     rast.mutable_data_ptr<T>(), s);
 }
@@ -71,7 +70,7 @@ struct Rasterize : public Function<Rasterize> {
   static Tensor forward(AutogradContext* ctx, const Tensor& clip_in, const Tensor& faces,
                         int64_t height, int64_t width) {
     const Tensor clip = clip_in.contiguous();
-    Tensor rast = at::empty({clip.size(0), height, width, 4}, clip.options());
+    Tensor rast = at::empty({clip.size(0), height, width, 4}, clip.options());  // all are written
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
     TT3D_DISPATCH(clip, "rasterize", [&] {
       on_device_of(clip,

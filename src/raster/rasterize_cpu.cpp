@@ -11,134 +11,276 @@
 namespace tt3d::raster {
 namespace {
 
-/// Rows [y_begin,y_end) of a view, and the depth of what they show.
+/// Triangles are taken in batches: chosen by their bounds, set up many at once, then drawn.
+constexpr int kBatch = 64;
+
+/// Columns of the blocks of pixels that are tested at once: most triangles of a fine mesh fit into
+/// one or two blocks.
+constexpr int kColumns = 4, kRows = 2;
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+/// The least depth beyond the far plane: what hides a pixel that shows nothing lies before it.
+constexpr double kBeyond = 1 + std::numeric_limits<double>::epsilon();
+
+template <typename T, int kCount>
+struct VectorOf {
+  typedef T Type __attribute__((vector_size(kCount * sizeof(T))));
+};
+template <typename T, int kCount>
+using Vector = typename VectorOf<T, kCount>::Type;
+template <typename T>
+using Row = Vector<T, kColumns>;
+/// Whole numbers of a number's size.
+template <typename T>
+using WholeAs = std::conditional_t<sizeof(T) == sizeof(int32_t), int32_t, int64_t>;
+
+template <typename Vector, typename T>
+TT3D_HD Vector load(const T* from) {
+  Vector v;
+  std::memcpy(&v, from, sizeof v);
+  return v;
+}
+
+/// What rows [y_begin,y_end) of a view show, a plane for each number of a pixel: a block's row is a
+/// vector in each. Blocks and vectors of rows reach beyond the last ones, and so do the planes.
 template <typename T>
 struct Band {
-  T* rast;        ///< of the view
-  double* depth;  ///< of the band
+  int64_t width;
   int y_begin, y_end;
+  std::vector<double> depth;   ///< kBeyond where nothing is shown
+  std::vector<T> u, v, shown;  ///< shown: triangle + 1, or 0
+  std::vector<double> px, py;  ///< coordinates of columns and rows
+  Band(const Sizes& s, int64_t first, int64_t last)
+      : width(s.width), y_begin(static_cast<int>(first)), y_end(static_cast<int>(last)) {
+    const int64_t rows = last - first + kColumns, pixels = rows * width + kColumns;
+    depth.resize(pixels, kBeyond);
+    for (auto* plane : {&u, &v, &shown}) plane->resize(pixels);
+    for (int64_t x = 0; x < width + kColumns; ++x) px.push_back(pixel_x(x, width));
+    for (int64_t y = 0; y < rows; ++y) py.push_back(pixel_y(first + y, s.height));
+  }
 };
 
-/// Neighbouring pixels that are tested at once: most triangles of a fine mesh fit into one or two
-/// such blocks. A vector is a row of one. (Vectors of two rows would be slower: the compiler knows
-/// no vector longer than four doubles when it takes their operators apart.)
-constexpr int kColumns = 4, kRows = 2;
-typedef double Lanes __attribute__((vector_size(kColumns * sizeof(double))));
-typedef int64_t LaneMask __attribute__((vector_size(kColumns * sizeof(int64_t))));
-typedef int8_t LaneBytes __attribute__((vector_size(kColumns)));
-constexpr Lanes kColumnOfLane = {0, 1, 2, 3};
+/// A batch, a row for each number, so that loops over its triangles become vectors.
+template <typename T>
+struct Batch {
+  int count = 0;
+  int32_t face[kBatch] = {};
+  int x_begin[kBatch], x_end[kBatch], y_begin[kBatch], y_end[kBatch];
+  T corner[3][4][kBatch];     ///< x, y, z, w of the vertices
+  double edge[3][3][kBatch];  ///< a, b, c of their functions
+  double depth[3][kBatch];    ///< and of the depth's
+  bool drawn[kBatch];         ///< false where the functions are none
 
-/// The values of a triangle's functions in a row of a block.
-struct RowValues {
-  Lanes e[3], zw;
+  [[nodiscard]] TT3D_HD ClipVertex vertex(int k, int i) const {
+    return {static_cast<double>(corner[k][0][i]), static_cast<double>(corner[k][1][i]),
+            static_cast<double>(corner[k][2][i]), static_cast<double>(corner[k][3][i])};
+  }
+  [[nodiscard]] TT3D_HD TriangleSetup setup(int i) const {
+    TriangleSetup t;
+    for (int k = 0; k < 3; ++k) t.edge[k] = {edge[k][0][i], edge[k][1][i], edge[k][2][i]};
+    t.depth = {depth[0][i], depth[1][i], depth[2][i]};
+    t.x_begin = x_begin[i];
+    t.x_end = x_end[i];
+    t.y_begin = y_begin[i];
+    t.y_end = y_end[i];
+    return t;
+  }
 };
 
-/// The lowest bit of each byte.
-constexpr uint64_t kOneEach = 0x0101010101010101;
-
-/// A byte for each lane of both rows, 0 or 255: lane 0 of the first row is the lowest.
-TT3D_HD uint64_t bytes_of(const LaneMask (&rows)[kRows]) {
-  uint32_t words[kRows];
-  static_assert(sizeof(LaneBytes) == sizeof(uint32_t));
-  for (int r = 0; r < kRows; ++r) {
-    const LaneBytes bytes = __builtin_convertvector(rows[r], LaneBytes);
-    std::memcpy(&words[r], &bytes, sizeof words[r]);
-  }
-  return words[0] | static_cast<uint64_t>(words[1]) << 32;
-}
-
-/// The lanes of a block's first columns and rows, as bytes_of.
-TT3D_HD uint64_t first_lanes(int columns, int rows) {
-  const uint64_t row = columns < kColumns ? (1ULL << (8 * columns)) - 1 : 0xFFFFFFFF;
-  return rows < kRows ? row : row | row << 32;
-}
-
-/// Which of a block's lanes lie inside a triangle, as bytes_of.
-TT3D_HD uint64_t inside_lanes(const TriangleSetup& t, const RowValues (&row)[kRows],
-                              uint64_t lanes) {
-  LaneMask within[kRows], tied[kRows];
-  for (int r = 0; r < kRows; ++r) {
-    const Lanes smallest = least(row[r].e[0], row[r].e[1], row[r].e[2]);
-    within[r] = smallest > 0;
-    tied[r] = smallest == 0;
-  }
-  uint64_t found = bytes_of(within) & lanes;
-  for (uint64_t ties = bytes_of(tied) & lanes & kOneEach; ties != 0; ties &= ties - 1) {
-    const int bit = __builtin_ctzll(ties), r = bit / 32, i = bit % 32 / 8;
-    const double at[3] = {row[r].e[0][i], row[r].e[1][i], row[r].e[2][i]};
-    if (inside(t, at)) found |= 1ULL << bit;
-  }
-  return found;
-}
-
-/// Draws a triangle in the lanes of a block. depth and out: of its first pixel. Triangles come in
-/// order: at equal depth the lower index stays.
+/// Fills the batch with the next triangles from `face` on that may cover a pixel of the band;
+/// returns the one after.
 template <typename T>
-TT3D_HD void draw_block(const TriangleSetup& t, int64_t face, int64_t width, uint64_t lanes,
-                        const RowValues (&row)[kRows], double* depth, T* out) {
-  LaneMask nearer[kRows];
-  for (int r = 0; r < kRows; ++r) {
-    Lanes shown;
-    std::memcpy(&shown, depth + r * width, sizeof shown);
-    nearer[r] = in_depth(row[r].zw) & (row[r].zw < shown);
+TT3D_HD int64_t choose(const int32_t* faces, const VertexBounds* points, const Sizes& s,
+                       const Band<T>& band, int64_t face, Batch<T>& batch) {
+  batch.count = 0;
+  for (; face < s.faces && batch.count < kBatch; ++face) {
+    const int32_t* corner = faces + 3 * face;
+    TriangleSetup t;
+    const bool covers = set_bounds(points[corner[0]], points[corner[1]], points[corner[2]], t);
+    const int i = batch.count;
+    batch.face[i] = static_cast<int32_t>(face);
+    batch.x_begin[i] = t.x_begin;
+    batch.x_end[i] = t.x_end;
+    batch.y_begin[i] = std::max(t.y_begin, band.y_begin);
+    batch.y_end[i] = std::min(t.y_end, band.y_end);
+    batch.count += covers & (batch.y_begin[i] < batch.y_end[i]);
   }
-  uint64_t left = inside_lanes(t, row, lanes & bytes_of(nearer)) & kOneEach;
-  if (left == 0) return;
-  Lanes u[kRows], v[kRows];
-  for (int r = 0; r < kRows; ++r) {
-    const Lanes scale = 1 / (row[r].e[0] + row[r].e[1] + row[r].e[2]);
-    u[r] = row[r].e[0] * scale;
-    v[r] = row[r].e[1] * scale;
-  }
-  const T number = static_cast<T>(face + 1);
-  for (; left != 0; left &= left - 1) {
-    const int bit = __builtin_ctzll(left), r = bit / 32, i = bit % 32 / 8;
-    const int64_t pixel = r * width + i;
-    depth[pixel] = row[r].zw[i];
-    T* to = out + 4 * pixel;
-    to[0] = static_cast<T>(u[r][i]);
-    to[1] = static_cast<T>(v[r][i]);
-    to[2] = static_cast<T>(row[r].zw[i]);
-    to[3] = number;
+  return face;
+}
+
+/// Loads the vertices of four triangles from the i-th on, turning rows of vertices into the
+/// batch's.
+template <typename T>
+TT3D_HD void load_four(const T* clip, const int32_t* faces, int i, Batch<T>& batch) {
+  for (int k = 0; k < 3; ++k) {
+    const auto vertex = [&](int j) TT3D_INLINE {
+      return load<Row<T>>(
+          clip + 4 * static_cast<int64_t>(faces[3 * static_cast<int64_t>(batch.face[i + j]) + k]));
+    };
+    const Row<T> a = vertex(0), b = vertex(1), c = vertex(2), d = vertex(3);
+    const Row<T> ab_xy = __builtin_shufflevector(a, b, 0, 4, 1, 5);
+    const Row<T> ab_zw = __builtin_shufflevector(a, b, 2, 6, 3, 7);
+    const Row<T> cd_xy = __builtin_shufflevector(c, d, 0, 4, 1, 5);
+    const Row<T> cd_zw = __builtin_shufflevector(c, d, 2, 6, 3, 7);
+    const Row<T> rows[4] = {__builtin_shufflevector(ab_xy, cd_xy, 0, 1, 4, 5),
+                            __builtin_shufflevector(ab_xy, cd_xy, 2, 3, 6, 7),
+                            __builtin_shufflevector(ab_zw, cd_zw, 0, 1, 4, 5),
+                            __builtin_shufflevector(ab_zw, cd_zw, 2, 3, 6, 7)};
+    for (int m = 0; m < 4; ++m) std::memcpy(batch.corner[k][m] + i, &rows[m], sizeof rows[m]);
   }
 }
 
+/// Sets up the batch's triangles. (Those beyond the last are set up too, and not drawn.)
 template <typename T>
-TT3D_HD void draw_triangle(const TriangleSetup& t, int64_t face, const Sizes& s,
-                           const Band<T>& band) {
-  for (int x = t.x_begin; x < t.x_end; x += kColumns) {
-    const Lanes px = pixel_x(x + kColumnOfLane, s.width);
-    Lanes of_column[4];
-    for (int k = 0; k < 3; ++k) of_column[k] = t.edge[k].of_column(px);
-    of_column[3] = t.depth.of_column(px);
-    for (int y = t.y_begin; y < t.y_end; y += kRows) {
-      RowValues row[kRows];
-      for (int r = 0; r < kRows; ++r) {
-        const double py = pixel_y(y + r, s.height);
-        for (int k = 0; k < 3; ++k) row[r].e[k] = of_column[k] + t.edge[k].of_row(py);
-        row[r].zw = of_column[3] + t.depth.of_row(py);
-      }
-      draw_block(t, face, s.width, first_lanes(t.x_end - x, t.y_end - y), row,
-                 band.depth + (y - band.y_begin) * s.width + x, band.rast + 4 * (y * s.width + x));
+TT3D_HD void set_up(const T* clip, const int32_t* faces, Batch<T>& batch) {
+  constexpr int kStep = 8;
+  static_assert(kBatch % kStep == 0);
+  const int count = (batch.count + kStep - 1) / kStep * kStep;
+  for (int i = 0; i < count; i += 4) load_four(clip, faces, i, batch);
+#pragma GCC ivdep
+  for (int i = 0; i < count; ++i) {
+    ScreenFunction edge[3], depth;
+    batch.drawn[i] = screen_functions(
+        {{batch.vertex(0, i), batch.vertex(1, i), batch.vertex(2, i)}}, edge, depth);
+    for (int k = 0; k < 3; ++k) {
+      batch.edge[k][0][i] = edge[k].a;
+      batch.edge[k][1][i] = edge[k].b;
+      batch.edge[k][2][i] = edge[k].c;
+    }
+    batch.depth[0][i] = depth.a;
+    batch.depth[1][i] = depth.b;
+    batch.depth[2][i] = depth.c;
+  }
+}
+
+/// Draws into a band, a block of pixels at a time. A vector is a row of one. (Vectors of two rows
+/// would be slower: the compiler takes comparisons of more than four doubles apart.)
+template <typename T>
+struct Painter {
+  typedef Row<double> Lanes;
+  typedef Row<int64_t> Mask;
+  /// The values of a triangle's functions: three edges', then the depth's.
+  struct Values {
+    Lanes of[4];
+  };
+  static constexpr Mask kPlace = {0, 1, 2, 3};
+
+  Band<T>& band;
+
+  TT3D_HD static bool any(const Mask& mask) {
+    const auto bytes = __builtin_convertvector(mask, Row<int8_t>);
+    uint32_t word;
+    static_assert(sizeof bytes == sizeof word);
+    std::memcpy(&word, &bytes, sizeof word);
+    return word != 0;
+  }
+
+  /// Writes the lanes of a mask to a plane.
+  template <typename Number>
+  TT3D_HD static void put(const Row<Number>& value, const Row<WholeAs<Number>>& mask,
+                          Number* plane) {
+    typedef Row<WholeAs<Number>> Bits;
+    const Bits row = (mask & reinterpret_cast<const Bits&>(value)) | (~mask & load<Bits>(plane));
+    std::memcpy(plane, &row, sizeof row);
+  }
+
+  /// Takes from the lanes that a row hits those where an edge function is 0 and which lie outside.
+  TT3D_HD static void settle_ties(const TriangleSetup& t, const Values& at, Mask& hit) {
+    for (int i = 0; i < kColumns; ++i) {
+      const double e[3] = {at.of[0][i], at.of[1][i], at.of[2][i]};
+      if (!inside(t, e)) hit[i] = 0;
     }
   }
-}
+
+  /// Draws a triangle in a block, whose first pixel in the band is `first`. Triangles come in
+  /// order: at equal depth the lower index stays.
+  TT3D_HD void draw_block(const TriangleSetup& t, T number, const Values (&at)[kRows],
+                          int64_t first) const {
+    double* depth = band.depth.data() + first;
+    Lanes smallest[kRows];
+    Mask hit[kRows], some = {}, tied = {};
+    for (int r = 0; r < kRows; ++r) {
+      const Lanes& zw = at[r].of[3];
+      smallest[r] = least(at[r].of[0], at[r].of[1], at[r].of[2]);
+      hit[r] = (smallest[r] >= 0) & (zw >= -1) & (zw < load<Lanes>(depth + r * band.width));
+      some |= hit[r];
+    }
+    if (!any(some)) return;
+    for (int r = 0; r < kRows; ++r) tied |= hit[r] & (smallest[r] == 0);
+    if (__builtin_expect(any(tied), 0)) {
+      for (int r = 0; r < kRows; ++r) settle_ties(t, at[r], hit[r]);
+    }
+    for (int r = 0; r < kRows; ++r) put_row(number, at[r], hit[r], first + r * band.width);
+  }
+
+  TT3D_HD void put_row(T number, const Values& at, const Mask& hit, int64_t pixel) const {
+    const Lanes scale = 1 / (at.of[0] + at.of[1] + at.of[2]);
+    const auto lanes = __builtin_convertvector(hit, Row<WholeAs<T>>);
+    put(at.of[3], hit, band.depth.data() + pixel);
+    put(__builtin_convertvector(at.of[0] * scale, Row<T>), lanes, band.u.data() + pixel);
+    put(__builtin_convertvector(at.of[1] * scale, Row<T>), lanes, band.v.data() + pixel);
+    put(Row<T>{} + number, lanes, band.shown.data() + pixel);
+  }
+
+  /// The functions' parts of columns, or of rows, four at once. Beyond the triangle's bounds the
+  /// depth is infinite: nothing is drawn there.
+  TT3D_HD static Values parts_of_columns(const TriangleSetup& t, const Lanes& px, int count) {
+    Values part;
+    for (int k = 0; k < 3; ++k) part.of[k] = t.edge[k].of_column(px);
+    part.of[3] = kPlace < count ? t.depth.of_column(px) : Lanes{} + kInfinity;
+    return part;
+  }
+  TT3D_HD static Values parts_of_rows(const TriangleSetup& t, const Lanes& py, int count) {
+    Values part;
+    for (int k = 0; k < 3; ++k) part.of[k] = t.edge[k].of_row(py);
+    part.of[3] = kPlace < count ? t.depth.of_row(py) : Lanes{} + kInfinity;
+    return part;
+  }
+
+  TT3D_HD void draw_triangle(const TriangleSetup& t, T number) const {
+    for (int x = t.x_begin; x < t.x_end; x += kColumns) {
+      const Values column = parts_of_columns(t, load<Lanes>(band.px.data() + x), t.x_end - x);
+      for (int y = t.y_begin; y < t.y_end; y += kRows) {
+        const int64_t line = y - band.y_begin;
+        const Values row = parts_of_rows(t, load<Lanes>(band.py.data() + line), t.y_end - y);
+        Values at[kRows];
+        for (int r = 0; r < kRows; ++r) {
+          for (int k = 0; k < 4; ++k) at[r].of[k] = column.of[k] + row.of[k][r];
+        }
+        draw_block(t, number, at, line * band.width + x);
+      }
+    }
+  }
+};
 
 /// All triangles of a view, in order: neighbours in a mesh are neighbours on the screen, so the
 /// band stays in the cache without sorting triangles into tiles first.
 template <typename T>
 TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* points,
-                       const Sizes& s, const Band<T>& band) {
-  TriangleSetup setup;
-  for (int64_t f = 0; f < s.faces; ++f) {
-    const int32_t* face = faces + 3 * f;
-    if (!set_bounds(points[face[0]], points[face[1]], points[face[2]], setup)) {
-      continue;
+                       const Sizes& s, Band<T>& band) {
+  const Painter<T> painter = {band};
+  Batch<T> batch;
+  for (int64_t f = 0; f < s.faces;) {
+    f = choose(faces, points, s, band, f, batch);
+    set_up(clip, faces, batch);
+    for (int i = 0; i < batch.count; ++i) {
+      if (batch.drawn[i]) painter.draw_triangle(batch.setup(i), static_cast<T>(batch.face[i] + 1));
     }
-    setup.y_begin = std::max(setup.y_begin, band.y_begin);
-    setup.y_end = std::min(setup.y_end, band.y_end);
-    if (setup.y_begin >= setup.y_end || !set_functions(clip, face, setup)) continue;
-    draw_triangle(setup, f, s, band);
+  }
+}
+
+/// Turns a band's planes into rows of pixels.
+template <typename T>
+TT3D_HD void write_pixels(const Band<T>& band, T* rast) {
+  const int64_t count = (band.y_end - band.y_begin) * band.width;
+  const double* depth = band.depth.data();
+  const T *u = band.u.data(), *v = band.v.data(), *shown = band.shown.data();
+#pragma GCC ivdep
+  for (int64_t i = 0; i < count; ++i) {
+    rast[4 * i] = u[i];
+    rast[4 * i + 1] = v[i];
+    rast[4 * i + 2] = shown[i] != 0 ? static_cast<T>(depth[i]) : T(0);
+    rast[4 * i + 3] = shown[i];
   }
 }
 
@@ -157,6 +299,7 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, 
     const double py = pixel_y(y, body.s.height);
     for (int64_t x = std::max<int64_t>(first - row, 0); x < end; ++x) {
       const int64_t i = offset + row + x, face = body.face_at(i);
+      const double px = pixel_x(x, body.s.width);  // here, so that its division leaves the loop
       if (face < 0) continue;
       if (face != shown) {
         if (shown >= 0) body.spread(shown, rows, sums);
@@ -164,7 +307,7 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, 
         rows = {};
         shown = face;
       }
-      body.add_pixel(i, triangle, pixel_x(x, body.s.width), py, rows);
+      body.add_pixel(i, triangle, px, py, rows);
     }
   }
   if (shown >= 0) body.spread(shown, rows, sums);
@@ -172,15 +315,16 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, 
 
 // target_clones needs plain functions.
 #define TT3D_RASTERIZE_LOOPS(T)                                                                 \
-  TT3D_CPU_LOOP void draw_loop(const T* clip, const int32_t* faces, const VertexBounds* points, \
-                               const Sizes& s, const Band<T>& band) {                           \
-    draw_band(clip, faces, points, s, band);                                                    \
-  }                                                                                             \
   TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, VertexBounds* points) {          \
     for (int64_t v = 0; v < s.vertices; ++v) {                                                  \
       points[v] = vertex_bounds(load_vertex(clip, v), s.height, s.width);                       \
     }                                                                                           \
   }                                                                                             \
+  TT3D_CPU_LOOP void draw_loop(const T* clip, const int32_t* faces, const VertexBounds* points, \
+                               const Sizes& s, Band<T>& band) {                                 \
+    draw_band(clip, faces, points, s, band);                                                    \
+  }                                                                                             \
+  TT3D_CPU_LOOP void write_loop(const Band<T>& band, T* rast) { write_pixels(band, rast); }     \
   TT3D_CPU_LOOP void spread_loop(const RasterizeBackwardPixel<T>& body, int64_t view,           \
                                  int64_t first, int64_t last, T* sums) {                        \
     spread_pixels(body, view, first, last, sums);                                               \
@@ -193,14 +337,12 @@ TT3D_RASTERIZE_LOOPS(double)
 template <typename T>
 void draw_rows(const T* clip, const int32_t* faces, T* rast, int64_t y_begin, int64_t y_end,
                const Sizes& s) {
-  // Blocks read beyond a row's end, and one row further.
-  std::vector<double> depth((y_end - y_begin + 1) * s.width + kColumns,
-                            std::numeric_limits<double>::infinity());
   // A vertex is shared by six triangles or so.
   const auto points = std::make_unique_for_overwrite<VertexBounds[]>(s.vertices);
   place_loop(clip, s, points.get());
-  draw_loop(clip, faces, points.get(), s,
-            {rast, depth.data(), static_cast<int>(y_begin), static_cast<int>(y_end)});
+  Band<T> band(s, y_begin, y_end);
+  draw_loop(clip, faces, points.get(), s, band);
+  write_loop(band, rast + 4 * y_begin * s.width);
 }
 
 }  // namespace

@@ -57,7 +57,10 @@ struct ScreenFunction {
   [[nodiscard]] TT3D_HD Value of_column(const Value& px) const {
     return a * px;
   }
-  [[nodiscard]] TT3D_HD double of_row(double py) const { return b * py + c; }
+  template <typename Value>
+  [[nodiscard]] TT3D_HD Value of_row(const Value& py) const {
+    return b * py + c;
+  }
   [[nodiscard]] TT3D_HD double at(double px, double py) const { return of_column(px) + of_row(py); }
   /// Sign at (px,py), never 0 for a real edge: a pixel exactly on the edge counts as if moved by
   /// (eps, eps^2), so that every point belongs to exactly one side, consistently at vertices too.
@@ -161,29 +164,32 @@ TT3D_HD bool set_bounds(const VertexBounds& p, const VertexBounds& q, const Vert
          (p.in_front || q.in_front || r.in_front);
 }
 
-/// Prepares a triangle whose bounds are set. False when its area on the screen is 0 or not finite.
-template <typename T>
-TT3D_HD bool set_functions(const T* clip, const int32_t* face, TriangleSetup& setup) {
-  const ClipTriangle v = load_triangle(clip, face);
-  ScreenFunction* e = setup.edge;
+/// The functions of a triangle: its edges', positive inside, and its depth's. False when its area
+/// on the screen is 0 or not finite; no branches, so that a loop over triangles becomes vectors.
+TT3D_HD bool screen_functions(const ClipTriangle& v, ScreenFunction e[3], ScreenFunction& depth) {
   edges_of(v, e);
   // In homogeneous coordinates sum_k e_k(P) (x_k,y_k,w_k) = determinant (P,1) at every place P
   // (Olano & Greer 1997), so sum_k e_k z_k / determinant is z/w; and with the determinant's sign
   // all e_k are positive inside, where the surface is before the camera.
   const double determinant =
       e[0].c * v.corner[0].w + e[1].c * v.corner[1].w + e[2].c * v.corner[2].w;
-  if (!(determinant != 0 && determinant - determinant == 0)) return false;
   const double side = determinant > 0 ? 1.0 : -1.0;
   const double inverse = 1 / determinant;
-  setup.depth = {0, 0, 0};
+  depth = {0, 0, 0};
   for (int k = 0; k < 3; ++k) {
     const double share = v.corner[k].z * inverse;
-    setup.depth.a += e[k].a * share;
-    setup.depth.b += e[k].b * share;
-    setup.depth.c += e[k].c * share;
+    depth.a += e[k].a * share;
+    depth.b += e[k].b * share;
+    depth.c += e[k].c * share;
     e[k] = {side * e[k].a, side * e[k].b, side * e[k].c};
   }
-  return true;
+  return (determinant != 0) & (determinant - determinant == 0);
+}
+
+/// Prepares a triangle whose bounds are set. False as screen_functions.
+template <typename T>
+TT3D_HD bool set_functions(const T* clip, const int32_t* face, TriangleSetup& setup) {
+  return screen_functions(load_triangle(clip, face), setup.edge, setup.depth);
 }
 
 /// Prepares a triangle for the whole picture. False when it cannot cover a pixel (behind the
@@ -328,19 +334,24 @@ TT3D_HD BarycentricSlopes barycentric_slopes(const T* clip, const int32_t* face)
           {e[0].a + e[1].a + e[2].a, e[0].b + e[1].b + e[2].b, e[0].c + e[1].c + e[2].c}};
 }
 
+/// From a pixel to the next one to the right and below, in normalised device coordinates.
+struct PixelSteps {
+  double x, y;
+  TT3D_HD explicit PixelSteps(const Sizes& s)
+      : x(2.0 / static_cast<double>(s.width)), y(-2.0 / static_cast<double>(s.height)) {}
+};
+
 /// Derivatives of (u,v) with respect to the pixel's position, per pixel, y down.
 /// out = {du/dx, du/dy, dv/dx, dv/dy}.
 TT3D_HD void barycentric_derivatives(const BarycentricSlopes& t, double px, double py,
-                                     int64_t height, int64_t width, double out[4]) {
-  const double x_step = 2.0 / static_cast<double>(width);
-  const double y_step = -2.0 / static_cast<double>(height);
+                                     const PixelSteps& step, double out[4]) {
   const double sum = t.sum.at(px, py);
   const double inverse = sum != 0 ? 1.0 / sum : 0.0;
   for (int k = 0; k < 2; ++k) {
     const double weight = t.edge[k].at(px, py) * inverse;
     double* row = out + 2 * static_cast<int64_t>(k);
-    row[0] = (t.edge[k].a - weight * t.sum.a) * inverse * x_step;
-    row[1] = (t.edge[k].b - weight * t.sum.b) * inverse * y_step;
+    row[0] = (t.edge[k].a - weight * t.sum.a) * inverse * step.x;
+    row[1] = (t.edge[k].b - weight * t.sum.b) * inverse * step.y;
   }
 }
 

@@ -36,8 +36,12 @@ TT3D_HD Footprint footprint_of(double u, double v, int64_t height, int64_t width
           {-(1 - fx) * h, -fx * h, (1 - fx) * h, fx * h}};
 }
 
+TT3D_HD float log2_of(float x) { return log2f(x); }
+TT3D_HD double log2_of(double x) { return log2(x); }
+
 /// Mipmap level of a footprint whose longer side covers 2^level texels, from the screen-space
 /// derivatives d = {du/dx, du/dy, dv/dx, dv/dy}; clamped to [0, levels - 1].
+template <typename T>
 TT3D_HD double mip_level(const double d[4], int64_t height, int64_t width, int64_t levels) {
   const auto w = static_cast<double>(width);
   const auto h = static_cast<double>(height);
@@ -45,7 +49,8 @@ TT3D_HD double mip_level(const double d[4], int64_t height, int64_t width, int64
   const double along_y = d[1] * d[1] * w * w + d[3] * d[3] * h * h;
   const double longer = along_x > along_y ? along_x : along_y;
   if (!(longer > 1)) return 0;
-  const double level = 0.5 * log2(longer);
+  // In the type of the texels: in float it costs half.
+  const auto level = 0.5 * static_cast<double>(log2_of(static_cast<T>(longer)));
   const auto last = static_cast<double>(levels - 1);
   return level < last ? level : last;
 }
@@ -123,7 +128,7 @@ TT3D_HD LevelBlend blend_levels(const MipChain<T>& levels, const T* derivatives,
   if (derivatives == nullptr) return {0, 0, 0.0};
   double d[4];
   for (int k = 0; k < 4; ++k) d[k] = static_cast<double>(derivatives[4 * i + k]);
-  const double level = mip_level(d, levels.level[0].height, levels.level[0].width, levels.count);
+  const double level = mip_level<T>(d, levels.level[0].height, levels.level[0].width, levels.count);
   const auto fine = static_cast<int64_t>(level);
   const int64_t coarse = fine + 1 < levels.count ? fine + 1 : levels.count - 1;
   return {fine, coarse, level - static_cast<double>(fine)};
@@ -151,10 +156,12 @@ struct TexturePixel {
       const Footprint f =
           footprint_of(static_cast<double>(uv[2 * i]), static_cast<double>(uv[2 * i + 1]),
                        level.height, level.width);
-      for (int k = 0; k < 4; ++k) {
-        const T weight = static_cast<T>(share * f.weight[k]);
-        const T* texel = level.texels + f.texel[k] * channels;
-        for (int64_t c = 0; c < channels; ++c) to[c] += weight * texel[c];
+      for (int64_t c = 0; c < channels; ++c) {
+        T sum = to[c];
+        for (int k = 0; k < 4; ++k) {
+          sum += static_cast<T>(share * f.weight[k]) * level.texels[f.texel[k] * channels + c];
+        }
+        to[c] = sum;
       }
     }
   }
@@ -182,12 +189,10 @@ struct TextureBackwardPixel {
       const Footprint f =
           footprint_of(static_cast<double>(uv[2 * i]), static_cast<double>(uv[2 * i + 1]),
                        level.height, level.width);
-      for (int k = 0; k < 4; ++k) {
-        const int64_t first = f.texel[k] * channels;
-        const T* g = grad_out + i * channels;
-        if (level.grad) add_texel(level.grad + first, g, channels, share * f.weight[k]);
-        if (!grad_uv) continue;
-        const double along = share * along_texel(level.texels + first, g, channels);
+      const T* g = grad_out + i * channels;
+      if (level.grad) add_texels(level.grad, f, share, g, channels);
+      for (int k = 0; grad_uv && k < 4; ++k) {
+        const double along = share * along_texel(level.texels + f.texel[k] * channels, g, channels);
         du += along * f.du[k];
         dv += along * f.dv[k];
       }
@@ -197,9 +202,13 @@ struct TextureBackwardPixel {
     grad_uv[2 * i + 1] = static_cast<T>(dv);
   }
 
-  TT3D_HD static void add_texel(T* grad, const T* g, int64_t channels, double weight) {
+  TT3D_HD static void add_texels(T* grad, const Footprint& f, double share, const T* g,
+                                 int64_t channels) {
     for (int64_t c = 0; c < channels; ++c) {
-      accumulate(grad + c, static_cast<T>(static_cast<double>(g[c]) * weight));
+      const T along = g[c];
+      for (int k = 0; k < 4; ++k) {
+        accumulate(grad + f.texel[k] * channels + c, static_cast<T>(share * f.weight[k]) * along);
+      }
     }
   }
 

@@ -136,6 +136,26 @@ TEST(Rasterize, NearerTriangleWinsWhateverTheOrder) {
   EXPECT_EQ((a.select(-1, 3) == 1).sum().item<int64_t>(), 0);
 }
 
+TEST(Rasterize, ManyTrianglesShowWhatTheNearestAloneShows) {
+  // Counts around those that are set up together; small ones, large ones, some behind the camera.
+  for (const int64_t count : {1, 2, 3, 5, 8, 9, 63, 64, 65, 131}) {
+    at::Tensor clip = testing::uniform({1, 3 * count, 4}, -1, 1, static_cast<uint64_t>(count));
+    clip.select(2, 3).add_(0.8);
+    const at::Tensor faces = at::arange(3 * count, at::kInt).view({-1, 3});
+    const at::Tensor together = rasterize(clip, faces, 13, 18);
+    at::Tensor expected = at::zeros_like(together);
+    for (int64_t i = 0; i < count; ++i) {
+      at::Tensor alone = rasterize(clip, faces.slice(0, i, i + 1).contiguous(), 13, 18);
+      const at::Tensor shown = expected.select(3, 3) > 0;
+      const at::Tensor hides =
+          (alone.select(3, 3) > 0) & (~shown | (alone.select(3, 2) < expected.select(3, 2)));
+      alone.select(3, 3).mul_(static_cast<double>(i + 1));
+      expected = at::where(hides.unsqueeze(3), alone, expected);
+    }
+    EXPECT_TRUE(at::equal(together, expected)) << count << " triangles";
+  }
+}
+
 TEST(Rasterize, NastyInputsDrawNothing) {
   const float nan = std::nanf("");
   const at::Tensor clip = flat_clip(

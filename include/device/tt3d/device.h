@@ -5,6 +5,7 @@
 #include <c10/core/DeviceGuard.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cstdint>
 #include <initializer_list>
 #include <string>
@@ -23,6 +24,17 @@ void for_each_chunk(int64_t n, int64_t chunk, const Body& body) {
   const int64_t chunks = (n + chunk - 1) / chunk;
   at::parallel_for(0, chunks, 1, [&](int64_t first, int64_t last) {
     for (int64_t c = first; c < last; ++c) body(c * chunk, std::min(n, (c + 1) * chunk));
+  });
+}
+
+/// Calls `body(task)` for every task in [0, n), in parallel; for independent tasks of uneven cost:
+/// a thread takes the next one when it is done with its last. They start in order, so the costliest
+/// should come first.
+template <typename Body>
+void for_each_task(int64_t n, const Body& body) {
+  std::atomic<int64_t> next = 0;
+  at::parallel_for(0, std::min<int64_t>(n, at::get_num_threads()), 1, [&](int64_t, int64_t) {
+    for (int64_t task = next++; task < n; task = next++) body(task);
   });
 }
 
