@@ -315,8 +315,9 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, 
 
 // target_clones needs plain functions.
 #define TT3D_RASTERIZE_LOOPS(T)                                                                 \
-  TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, VertexBounds* points) {          \
-    for (int64_t v = 0; v < s.vertices; ++v) {                                                  \
+  TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, int64_t first, int64_t last,     \
+                                VertexBounds* points) {                                         \
+    for (int64_t v = first; v < last; ++v) {                                                    \
       points[v] = vertex_bounds(load_vertex(clip, v), s.height, s.width);                       \
     }                                                                                           \
   }                                                                                             \
@@ -333,15 +334,12 @@ TT3D_RASTERIZE_LOOPS(float)
 TT3D_RASTERIZE_LOOPS(double)
 #undef TT3D_RASTERIZE_LOOPS
 
-/// Rows [y_begin,y_end) of a view, whose pixels start at `rast`.
+/// Rows [y_begin,y_end) of a view, whose pixels start at `rast`. points: of its vertices.
 template <typename T>
-void draw_rows(const T* clip, const int32_t* faces, T* rast, int64_t y_begin, int64_t y_end,
-               const Sizes& s) {
-  // A vertex is shared by six triangles or so.
-  const auto points = std::make_unique_for_overwrite<VertexBounds[]>(s.vertices);
-  place_loop(clip, s, points.get());
+void draw_rows(const T* clip, const int32_t* faces, const VertexBounds* points, T* rast,
+               int64_t y_begin, int64_t y_end, const Sizes& s) {
   Band<T> band(s, y_begin, y_end);
-  draw_loop(clip, faces, points.get(), s, band);
+  draw_loop(clip, faces, points, s, band);
   write_loop(band, rast + 4 * y_begin * s.width);
 }
 
@@ -353,11 +351,17 @@ void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const S
   constexpr int64_t kLeastRows = 16;
   const int64_t share = at::get_num_threads() / std::max<int64_t>(1, s.views);
   const int64_t bands = std::clamp<int64_t>(share, 1, std::max<int64_t>(1, s.height / kLeastRows));
+  // A vertex is shared by six triangles or so, and by all bands.
+  const auto points = std::make_unique_for_overwrite<VertexBounds[]>(s.views * s.vertices);
+  at::parallel_for(0, s.views * s.vertices, 4096, [&](int64_t first, int64_t last) {
+    place_loop(clip, s, first, last, points.get());
+  });
   at::parallel_for(0, s.views * bands, 1, [&](int64_t first, int64_t last) {
     for (int64_t i = first; i < last; ++i) {
       const int64_t n = i / bands, band = i % bands;
-      draw_rows(clip + n * s.vertices * 4, faces, rast + n * s.height * s.width * 4,
-                band * s.height / bands, (band + 1) * s.height / bands, s);
+      draw_rows(clip + n * s.vertices * 4, faces, points.get() + n * s.vertices,
+                rast + n * s.height * s.width * 4, band * s.height / bands,
+                (band + 1) * s.height / bands, s);
     }
   });
 }
