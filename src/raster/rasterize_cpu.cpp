@@ -137,7 +137,6 @@ TT3D_HD void set_up(const T* clip, const int32_t* faces, Batch<T>& batch) {
   static_assert(kBatch % kStep == 0);
   const int count = (batch.count + kStep - 1) / kStep * kStep;
   for (int i = 0; i < count; i += 4) load_four(clip, faces, i, batch);
-#pragma GCC ivdep
   for (int i = 0; i < count; ++i) {
     ScreenFunction edge[3], depth;
     batch.drawn[i] = screen_functions(
@@ -271,11 +270,10 @@ TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* 
 
 /// Turns a band's planes into rows of pixels.
 template <typename T>
-TT3D_HD void write_pixels(const Band<T>& band, T* rast) {
+TT3D_HD void write_pixels(const Band<T>& band, T* __restrict rast) {
   const int64_t count = (band.y_end - band.y_begin) * band.width;
   const double* depth = band.depth.data();
   const T *u = band.u.data(), *v = band.v.data(), *shown = band.shown.data();
-#pragma GCC ivdep
   for (int64_t i = 0; i < count; ++i) {
     rast[4 * i] = u[i];
     rast[4 * i + 1] = v[i];
