@@ -67,11 +67,11 @@ struct SilhouetteEdges {
         bits |= 1U << k;
         continue;
       }
-      const int32_t other = twin / 3, corner = twin - 3 * other;
+      const int32_t other = twin / 3;
+      const int32_t next = twin == 3 * other + 2 ? twin - 2 : twin + 1;
       // Faces of one orientation run along their common edge in opposite directions.
-      const bool agree = faces[3 * static_cast<int64_t>(other) + (corner + 1) % 3] ==
-                         faces[3 * face + (k + 2) % 3];
-      if ((facing[i] == facing[first + other]) != agree) bits |= 1U << k;
+      const bool agree = faces[next] == faces[3 * face + (k + 2) % 3];
+      bits |= static_cast<unsigned>((facing[i] == facing[first + other]) != agree) << k;
     }
     edges[i] = static_cast<uint8_t>(bits);
   }

@@ -137,7 +137,6 @@ TT3D_HD void set_up(const T* clip, const int32_t* faces, Batch<T>& batch) {
   static_assert(kBatch % kStep == 0);
   const int count = (batch.count + kStep - 1) / kStep * kStep;
   for (int i = 0; i < count; i += 4) load_four(clip, faces, i, batch);
-#pragma GCC ivdep
   for (int i = 0; i < count; ++i) {
     ScreenFunction edge[3], depth;
     batch.drawn[i] = screen_functions(
@@ -271,11 +270,10 @@ TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* 
 
 /// Turns a band's planes into rows of pixels.
 template <typename T>
-TT3D_HD void write_pixels(const Band<T>& band, T* rast) {
+TT3D_HD void write_pixels(const Band<T>& band, T* __restrict rast) {
   const int64_t count = (band.y_end - band.y_begin) * band.width;
   const double* depth = band.depth.data();
   const T *u = band.u.data(), *v = band.v.data(), *shown = band.shown.data();
-#pragma GCC ivdep
   for (int64_t i = 0; i < count; ++i) {
     rast[4 * i] = u[i];
     rast[4 * i + 1] = v[i];
@@ -315,8 +313,9 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, 
 
 // target_clones needs plain functions.
 #define TT3D_RASTERIZE_LOOPS(T)                                                                 \
-  TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, VertexBounds* points) {          \
-    for (int64_t v = 0; v < s.vertices; ++v) {                                                  \
+  TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, int64_t first, int64_t last,     \
+                                VertexBounds* points) {                                         \
+    for (int64_t v = first; v < last; ++v) {                                                    \
       points[v] = vertex_bounds(load_vertex(clip, v), s.height, s.width);                       \
     }                                                                                           \
   }                                                                                             \
@@ -333,15 +332,12 @@ TT3D_RASTERIZE_LOOPS(float)
 TT3D_RASTERIZE_LOOPS(double)
 #undef TT3D_RASTERIZE_LOOPS
 
-/// Rows [y_begin,y_end) of a view, whose pixels start at `rast`.
+/// Rows [y_begin,y_end) of a view, whose pixels start at `rast`. points: of its vertices.
 template <typename T>
-void draw_rows(const T* clip, const int32_t* faces, T* rast, int64_t y_begin, int64_t y_end,
-               const Sizes& s) {
-  // A vertex is shared by six triangles or so.
-  const auto points = std::make_unique_for_overwrite<VertexBounds[]>(s.vertices);
-  place_loop(clip, s, points.get());
+void draw_rows(const T* clip, const int32_t* faces, const VertexBounds* points, T* rast,
+               int64_t y_begin, int64_t y_end, const Sizes& s) {
   Band<T> band(s, y_begin, y_end);
-  draw_loop(clip, faces, points.get(), s, band);
+  draw_loop(clip, faces, points, s, band);
   write_loop(band, rast + 4 * y_begin * s.width);
 }
 
@@ -353,11 +349,17 @@ void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const S
   constexpr int64_t kLeastRows = 16;
   const int64_t share = at::get_num_threads() / std::max<int64_t>(1, s.views);
   const int64_t bands = std::clamp<int64_t>(share, 1, std::max<int64_t>(1, s.height / kLeastRows));
+  // A vertex is shared by six triangles or so, and by all bands.
+  const auto points = std::make_unique_for_overwrite<VertexBounds[]>(s.views * s.vertices);
+  at::parallel_for(0, s.views * s.vertices, 4096, [&](int64_t first, int64_t last) {
+    place_loop(clip, s, first, last, points.get());
+  });
   at::parallel_for(0, s.views * bands, 1, [&](int64_t first, int64_t last) {
     for (int64_t i = first; i < last; ++i) {
       const int64_t n = i / bands, band = i % bands;
-      draw_rows(clip + n * s.vertices * 4, faces, rast + n * s.height * s.width * 4,
-                band * s.height / bands, (band + 1) * s.height / bands, s);
+      draw_rows(clip + n * s.vertices * 4, faces, points.get() + n * s.vertices,
+                rast + n * s.height * s.width * 4, band * s.height / bands,
+                (band + 1) * s.height / bands, s);
     }
   });
 }
