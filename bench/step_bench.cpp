@@ -19,6 +19,7 @@
 #include "tt3d/core.h"
 #include "tt3d/model.h"
 #include "tt3d/run.h"
+#include "tt3d/tool.h"
 
 namespace tt3d {
 namespace {
@@ -78,6 +79,7 @@ void measure(char** argv) {
   RunConfig config = load_config(argv[1]);
   const std::filesystem::path run = argv[2];
   config.attack.steps = std::atoll(argv[4]);
+  if (config.attack.steps < 2) throw InputError("STEPS: expected 2 or more");
   at::set_num_threads(std::atoi(argv[5]));
   const AttackResult clean = load_attack(run / "mesh/mesh.safetensors");
   const auto model = std::make_shared<TimedClassifier>(Classifier::load(argv[3]));
@@ -89,7 +91,8 @@ void measure(char** argv) {
   input.surrogates = {model};
   input.classes = {find_class(config.attack_target, model->card()).index};
   StepTimes times(*model);
-  (void)run_attack(input, config.attack, config.seed, run / "step_bench.safetensors", times);
+  const ExchangeFolder folder;
+  (void)run_attack(input, config.attack, config.seed, folder.path() / "checkpoint", times);
   const nlohmann::json medians = {{"step", median(times.steps)},
                                   {"classifier", median(times.classifiers)}};
   std::cout << medians.dump() << "\n";

@@ -1,11 +1,9 @@
 #include "blur_cpu.h"
 
-#include <ATen/Parallel.h>
-
 #include <algorithm>
 #include <vector>
 
-#include "tt3d/kernel.h"
+#include "tt3d/device.h"
 
 namespace tt3d::attack {
 namespace {
@@ -71,11 +69,9 @@ TT3D_BLUR_LOOPS(double)
 template <typename T, typename Plane>
 void for_each_plane(const BlurInput<T>& b, T* out, const Plane& body) {
   const int64_t pixels = b.height * b.width;
-  at::parallel_for(0, b.planes, 1, [&](int64_t first, int64_t last) {
-    std::vector<T> scratch(static_cast<size_t>(b.width + 2 * b.radius));
-    for (int64_t p = first; p < last; ++p) {
-      body(b, b.in + p * pixels, scratch.data(), out + p * pixels);
-    }
+  const auto make = [&] { return std::vector<T>(b.width + 2 * b.radius); };
+  for_each_task(b.planes, make, [&](int64_t p, std::vector<T>& scratch) {
+    body(b, b.in + p * pixels, scratch.data(), out + p * pixels);
   });
 }
 

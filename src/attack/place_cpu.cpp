@@ -1,6 +1,5 @@
-#include <ATen/Parallel.h>
-
 #include "place_math.h"
+#include "tt3d/device.h"
 
 namespace tt3d::attack {
 namespace {
@@ -19,10 +18,8 @@ TT3D_PLACE_ROW(PlaceBackwardPixel<double>)
 
 template <typename Body>
 void for_each_row(int64_t pictures, const Body& body) {
-  at::parallel_for(0, pictures, 1, [&](int64_t first, int64_t last) {
-    for (int64_t n = first; n < last; ++n) {
-      for (int64_t row = 0; row < body.p.size; ++row) row_of(body, n, row);
-    }
+  for_each_task(pictures, [&](int64_t n) {
+    for (int64_t row = 0; row < body.p.size; ++row) row_of(body, n, row);
   });
 }
 

@@ -1,11 +1,10 @@
 #include "ssim_cpu.h"
 
-#include <ATen/Parallel.h>
-
 #include <cmath>
 #include <vector>
 
 #include "ssim_math.h"
+#include "tt3d/device.h"
 
 namespace tt3d::ssim {
 
@@ -132,18 +131,16 @@ template <typename T>
 void mean_cpu(const T* x, const T* y, T* mean, T* slopes, const Sizes& s) {
   const Window<T> window;
   const int64_t rows = s.window_rows(), count = s.window_columns(), plane = s.height * s.width;
-  at::parallel_for(0, s.planes, 1, [&](int64_t first, int64_t last) {
-    std::vector<T> scratch(static_cast<size_t>(kMoments * (s.width + count)));
-    for (int64_t p = first; p < last; ++p) {
-      T total = 0;
-      for (int64_t r = 0; r < rows; ++r) {
-        const int64_t from = p * plane + r * s.stride * s.width;
-        T* slope = slopes ? slopes + (p * rows + r) * 3 * count : nullptr;
-        total += similarity_row(x + from, y + from, window.tap, s.width, s.stride, count,
-                                scratch.data(), slope);
-      }
-      mean[p] = total / static_cast<T>(rows * count);
+  const auto make = [&] { return std::vector<T>(kMoments * (s.width + count)); };
+  for_each_task(s.planes, make, [&](int64_t p, std::vector<T>& scratch) {
+    T total = 0;
+    for (int64_t r = 0; r < rows; ++r) {
+      const int64_t from = p * plane + r * s.stride * s.width;
+      T* slope = slopes ? slopes + (p * rows + r) * 3 * count : nullptr;
+      total += similarity_row(x + from, y + from, window.tap, s.width, s.stride, count,
+                              scratch.data(), slope);
     }
+    mean[p] = total / static_cast<T>(rows * count);
   });
 }
 
@@ -152,16 +149,14 @@ void gradient_cpu(const T* x, const T* y, const T* slopes, const T* grad_mean, T
                   const Sizes& s) {
   const Window<T> window;
   const int64_t rows = s.window_rows(), count = s.window_columns(), plane = s.height * s.width;
-  at::parallel_for(0, s.planes, 1, [&](int64_t first, int64_t last) {
-    std::vector<T> scratch(static_cast<size_t>(3 * s.width));
-    for (int64_t p = first; p < last; ++p) {
-      std::fill_n(grad_x + p * plane, plane, T(0));
-      const T scale = grad_mean[p] / static_cast<T>(rows * count);
-      for (int64_t r = 0; r < rows; ++r) {
-        const int64_t from = p * plane + r * s.stride * s.width;
-        gradient_row(x + from, y + from, window.tap, s.width, s.stride, count,
-                     slopes + (p * rows + r) * 3 * count, scale, scratch.data(), grad_x + from);
-      }
+  const auto make = [&] { return std::vector<T>(3 * s.width); };
+  for_each_task(s.planes, make, [&](int64_t p, std::vector<T>& scratch) {
+    std::fill_n(grad_x + p * plane, plane, T(0));
+    const T scale = grad_mean[p] / static_cast<T>(rows * count);
+    for (int64_t r = 0; r < rows; ++r) {
+      const int64_t from = p * plane + r * s.stride * s.width;
+      gradient_row(x + from, y + from, window.tap, s.width, s.stride, count,
+                   slopes + (p * rows + r) * 3 * count, scale, scratch.data(), grad_x + from);
     }
   });
 }

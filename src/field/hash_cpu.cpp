@@ -203,21 +203,17 @@ void hash_encode_backward_points(const Cpu&, const T* points, const T* table, co
                                  T* grad_points, int64_t count, const HashLevels& levels,
                                  int64_t features) {
   const auto slopes = slope_loop<T>(features);
-  const int64_t chunks = (count + kSlopeChunk - 1) / kSlopeChunk;
-  at::parallel_for(0, chunks, 1, [&](int64_t first, int64_t last) {
-    for (int64_t chunk = first; chunk < last; ++chunk) {
-      const int64_t begin = chunk * kSlopeChunk, end = std::min(count, begin + kSlopeChunk);
-      T total[3 * kSlopeChunk] = {};
-      for (int64_t l = 0; l < levels.count; ++l) {
-        const HashLevel& level = levels.level[l];
-        slopes(points, table + level.offset * features, grad_out + l * features * count, total,
-               begin, end, count, level);
-      }
-      for (int64_t i = begin; i < end; ++i) {
-        for (int axis = 0; axis < 3; ++axis) {
-          const bool inside = is_inside(points[3 * i + axis]);
-          grad_points[3 * i + axis] = inside ? total[axis * kSlopeChunk + i - begin] : T(0);
-        }
+  for_each_chunk(count, kSlopeChunk, [&](int64_t begin, int64_t end) {
+    T total[3 * kSlopeChunk] = {};
+    for (int64_t l = 0; l < levels.count; ++l) {
+      const HashLevel& level = levels.level[l];
+      slopes(points, table + level.offset * features, grad_out + l * features * count, total, begin,
+             end, count, level);
+    }
+    for (int64_t i = begin; i < end; ++i) {
+      for (int axis = 0; axis < 3; ++axis) {
+        const bool inside = is_inside(points[3 * i + axis]);
+        grad_points[3 * i + axis] = inside ? total[axis * kSlopeChunk + i - begin] : T(0);
       }
     }
   });

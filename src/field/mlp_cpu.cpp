@@ -30,9 +30,9 @@ TT3D_FOR_EACH_CPU(TT3D_MLP_LOOPS, double)
 template <typename T>
 void mlp_cpu(const T* x, const std::vector<Layer<T>>& layers, T* out, int64_t count) {
   const Layers<T> network{layers.data(), nullptr, layers.size()};
-  at::parallel_for(0, (count + kChunk - 1) / kChunk, 1, [&](int64_t first, int64_t last) {
-    const Workspace<T> work(layers);
-    forward_range(x, network, work.buffers, out, first * kChunk, std::min(count, last * kChunk),
+  const auto make = [&] { return Workspace<T>(layers); };
+  for_each_task((count + kChunk - 1) / kChunk, make, [&](int64_t c, const Workspace<T>& work) {
+    forward_range(x, network, work.buffers, out, c * kChunk, std::min(count, (c + 1) * kChunk),
                   count);
   });
 }
@@ -59,18 +59,16 @@ void mlp_backward_cpu(const T* x, const std::vector<Layer<T>>& layers, const T* 
   const int64_t chunks = (count + kChunk - 1) / kChunk;
   const Storage<T> storage = zeros<T>(chunks * parameters);
   T* partial = storage.get();
-  at::parallel_for(0, chunks, 1, [&](int64_t first, int64_t last) {
-    const Workspace<T> work(layers);
-    for (int64_t c = first; c < last; ++c) {
-      std::vector<T*> grad_w;
-      T* next = partial + c * parameters;
-      for (const Layer<T>& layer : layers) {
-        grad_w.push_back(next);
-        next += padded(layer.in) * layer.out;
-      }
-      backward_range(x, network, work.buffers, grad_out, grad_x, grad_w.data(), c * kChunk,
-                     std::min(count, (c + 1) * kChunk), count);
+  const auto make = [&] { return Workspace<T>(layers); };
+  for_each_task(chunks, make, [&](int64_t c, const Workspace<T>& work) {
+    std::vector<T*> grad_w;
+    T* next = partial + c * parameters;
+    for (const Layer<T>& layer : layers) {
+      grad_w.push_back(next);
+      next += padded(layer.in) * layer.out;
     }
+    backward_range(x, network, work.buffers, grad_out, grad_x, grad_w.data(), c * kChunk,
+                   std::min(count, (c + 1) * kChunk), count);
   });
   int64_t offset = 0;
   for (size_t k = 0; k < layers.size(); ++k) {

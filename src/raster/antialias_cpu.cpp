@@ -21,19 +21,17 @@ void mark_row(const AntialiasView<T>& view, const T* rast, int64_t width, uint8_
 template <typename Body>
 void for_each_marked_pixel(const Body& body) {
   const Sizes& s = body.s;
-  at::parallel_for(0, s.views, 1, [&](int64_t first, int64_t last) {
+  for_each_task(s.views, [&](int64_t n) {
     // A row's marks, and that of its pixel beyond the end.
     std::vector<uint8_t> marks(s.width + 1), below(s.width + 1);
-    for (int64_t n = first; n < last; ++n) {
-      const auto view = body.scene.view(n, s);
-      const auto* rast = body.scene.rast + n * s.height * s.width * 4;
-      mark_row(view, rast, s.width, below.data());
-      for (int64_t y = 0; y < s.height; ++y) {
-        std::swap(marks, below);
-        if (y + 1 < s.height) mark_row(view, rast + (y + 1) * s.width * 4, s.width, below.data());
-        for (int64_t x = 0; x < s.width; ++x) {
-          if (marks[x] | marks[x + 1] | below[x]) body(PixelPlace{n, y, x});
-        }
+    const auto view = body.scene.view(n, s);
+    const auto* rast = body.scene.rast + n * s.height * s.width * 4;
+    mark_row(view, rast, s.width, below.data());
+    for (int64_t y = 0; y < s.height; ++y) {
+      std::swap(marks, below);
+      if (y + 1 < s.height) mark_row(view, rast + (y + 1) * s.width * 4, s.width, below.data());
+      for (int64_t x = 0; x < s.width; ++x) {
+        if (marks[x] | marks[x + 1] | below[x]) body(PixelPlace{n, y, x});
       }
     }
   });

@@ -44,16 +44,14 @@ void scatter_in_parts(int64_t groups, int64_t pixels, int64_t rows, int64_t leng
       std::min(kParts / std::max<int64_t>(groups, 1), pixels / std::max<int64_t>(rows, 1)), 1,
       kParts);
   const auto others = std::make_unique_for_overwrite<T[]>(groups * (parts - 1) * count);
-  at::parallel_for(0, groups * parts, 1, [&](int64_t begin, int64_t end) {
-    for (int64_t i = begin; i < end; ++i) {
-      const int64_t group = i / parts, part = i % parts;
-      T* out = sums + group * count;
-      if (part > 0) {
-        out = others.get() + (group * (parts - 1) + part - 1) * count;
-        std::fill_n(out, count, T{0});
-      }
-      add(group, part * pixels / parts, (part + 1) * pixels / parts, out);
+  for_each_task(groups * parts, [&](int64_t i) {
+    const int64_t group = i / parts, part = i % parts;
+    T* out = sums + group * count;
+    if (part > 0) {
+      out = others.get() + (group * (parts - 1) + part - 1) * count;
+      std::fill_n(out, count, T{0});
     }
+    add(group, part * pixels / parts, (part + 1) * pixels / parts, out);
   });
   if (parts == 1) return;
   at::parallel_for(0, groups * count, 1 << 14, [&](int64_t begin, int64_t end) {

@@ -354,13 +354,11 @@ void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const S
   at::parallel_for(0, s.views * s.vertices, 4096, [&](int64_t first, int64_t last) {
     place_loop(clip, s, first, last, points.get());
   });
-  at::parallel_for(0, s.views * bands, 1, [&](int64_t first, int64_t last) {
-    for (int64_t i = first; i < last; ++i) {
-      const int64_t n = i / bands, band = i % bands;
-      draw_rows(clip + n * s.vertices * 4, faces, points.get() + n * s.vertices,
-                rast + n * s.height * s.width * 4, band * s.height / bands,
-                (band + 1) * s.height / bands, s);
-    }
+  for_each_task(s.views * bands, [&](int64_t i) {
+    const int64_t n = i / bands, band = i % bands;
+    draw_rows(clip + n * s.vertices * 4, faces, points.get() + n * s.vertices,
+              rast + n * s.height * s.width * 4, band * s.height / bands,
+              (band + 1) * s.height / bands, s);
   });
 }
 

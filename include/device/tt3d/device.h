@@ -16,26 +16,33 @@
 /// this header the CPU's loops and the choice of the device, tt3d/cuda.h the GPU's loop.
 namespace tt3d {
 
+/// Calls `body(task, workspace)` for every task in [0, n), in parallel; for independent tasks of
+/// uneven cost, or on cores that others use, too: a thread takes the next one when it is done with
+/// its last. They start in order, so the costliest should come first. `make()` gives each thread
+/// its workspace.
+template <typename Make, typename Body>
+void for_each_task(int64_t n, const Make& make, const Body& body) {
+  std::atomic<int64_t> next = 0;
+  at::parallel_for(0, std::min<int64_t>(n, at::get_num_threads()), 1, [&](int64_t, int64_t) {
+    auto workspace = make();
+    for (int64_t task = next++; task < n; task = next++) body(task, workspace);
+  });
+}
+
+/// Calls `body(task)` likewise.
+template <typename Body>
+void for_each_task(int64_t n, const Body& body) {
+  const auto nothing = [] { return 0; };
+  for_each_task(n, nothing, [&](int64_t task, int) { body(task); });
+}
+
 /// Calls `body(begin, end)` over [0, n) in chunks of exactly `chunk` items (the last may be
 /// shorter), whatever the number of threads: per-chunk results that are combined in chunk order
 /// give the same bytes with 1 or N threads.
 template <typename Body>
 void for_each_chunk(int64_t n, int64_t chunk, const Body& body) {
-  const int64_t chunks = (n + chunk - 1) / chunk;
-  at::parallel_for(0, chunks, 1, [&](int64_t first, int64_t last) {
-    for (int64_t c = first; c < last; ++c) body(c * chunk, std::min(n, (c + 1) * chunk));
-  });
-}
-
-/// Calls `body(task)` for every task in [0, n), in parallel; for independent tasks of uneven cost:
-/// a thread takes the next one when it is done with its last. They start in order, so the costliest
-/// should come first.
-template <typename Body>
-void for_each_task(int64_t n, const Body& body) {
-  std::atomic<int64_t> next = 0;
-  at::parallel_for(0, std::min<int64_t>(n, at::get_num_threads()), 1, [&](int64_t, int64_t) {
-    for (int64_t task = next++; task < n; task = next++) body(task);
-  });
+  for_each_task((n + chunk - 1) / chunk,
+                [&](int64_t c) { body(c * chunk, std::min(n, (c + 1) * chunk)); });
 }
 
 /// Calls `body(i)` for every i in [0, n), in parallel; for independent items.
