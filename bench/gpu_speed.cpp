@@ -24,7 +24,8 @@
 //   gpu_speed                 times each operator, forward and backward, on the CPU and on the GPU;
 //                             prints rows of a Markdown table: operator, size, milliseconds on both
 //                             (median of the repetitions), their ratio
-//   gpu_speed --peers MESH    times what bench/gpu_peers.py compares with other programs, on the GPU
+//   gpu_speed --peers MESH    times what bench/gpu_peers.py compares with other programs, on the
+//   GPU
 //                             alone; prints {name: milliseconds}. MESH: as for kernel_bench
 //   gpu_speed --profile MESH  the same, each three times and untimed, for a profiler
 namespace tt3d {
@@ -205,10 +206,9 @@ std::function<void()> colored_mesh(const TensorFile& file, int64_t views, int64_
 /// gradients, Adam.
 std::function<void()> training_step(int64_t points, bool half, at::Device gpu) {
   const HashGridShape shape;
-  std::vector<Tensor> parameters = {random({shape.entries(), 2}, -1e-4, 1e-4, 1, gpu),
-                                    random({64, 35}, -0.3, 0.3, 4, gpu),
-                                    random({64, 64}, -0.3, 0.3, 5, gpu),
-                                    random({6, 64}, -0.3, 0.3, 6, gpu)};
+  std::vector<Tensor> parameters = {
+      random({shape.entries(), 2}, -1e-4, 1e-4, 1, gpu), random({64, 35}, -0.3, 0.3, 4, gpu),
+      random({64, 64}, -0.3, 0.3, 5, gpu), random({6, 64}, -0.3, 0.3, 6, gpu)};
   std::vector<Tensor> moment1, moment2;
   for (Tensor& p : parameters) {
     moment1.push_back(at::zeros_like(p));

@@ -74,10 +74,11 @@ inline Outcome outcome_on(const at::Device& device, const TensorFunction& functi
 }
 
 /// Expects the same value and gradients on the CPU and on `gpu`, up to `tolerance` in `distance`.
-inline void expect_same(
-    const std::string& name, const at::Device& gpu, const TensorFunction& function,
-    const std::vector<at::Tensor>& inputs, double tolerance,
-    double (*distance)(const at::Tensor&, const at::Tensor&) = relative_difference) {
+inline void expect_same(const std::string& name, const at::Device& gpu,
+                        const TensorFunction& function, const std::vector<at::Tensor>& inputs,
+                        double tolerance,
+                        double (*distance)(const at::Tensor&,
+                                           const at::Tensor&) = relative_difference) {
   const Outcome a = outcome_on(at::kCPU, function, inputs), b = outcome_on(gpu, function, inputs);
   EXPECT_LE(distance(a.value, b.value), tolerance) << name;
   for (size_t i = 0; i < inputs.size(); ++i) {
