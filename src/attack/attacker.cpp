@@ -203,14 +203,9 @@ Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
         return channels.size() == 1 ? shown.colors : at::cat(channels);
       });
   const Tensor picture = rendered.permute({0, 3, 1, 2});
-  shown.pictures = picture;
-  if (picture.size(1) > 4) {
-    const std::vector<int64_t> sizes = {3, with_clean ? 3 : 0, with_normals ? 3 : 0, 1};
-    const auto parts = picture.split_with_sizes(sizes, 1);
-    shown.pictures = at::cat({parts[0], parts[3]}, 1);
-    if (with_clean) shown.clean = parts[1];
-    if (with_normals) shown.normals = parts[2];
-  }
+  shown.pictures = picture.narrow(1, 0, 4);
+  if (with_clean) shown.clean = picture.narrow(1, 4, 3);
+  if (with_normals) shown.normals = picture.narrow(1, with_clean ? 7 : 4, 3);
   return shown;
 }
 

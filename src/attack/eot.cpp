@@ -198,7 +198,7 @@ Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o,
     x = at::add(x, noise_tensor(x.sizes(), stream_of("noise", seed, step).key(), x.device()),
                 sigma);
   }
-  x = x.clamp(0, 1);
+  x = at::hardtanh(x, 0, 1);  // clamp, with a gradient in one pass
   if (o.jpeg > 0) x = compress(x, o, stream_of("jpeg", seed, step));
   if (o.mix > 0 && photographs != nullptr)
     x = mix_in(x, o.mix, *photographs, stream_of("mix", seed, step));

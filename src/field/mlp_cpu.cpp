@@ -6,7 +6,7 @@
 namespace tt3d::field {
 namespace {
 
-constexpr int64_t kChunk = 8192;  ///< points a partial weight gradient covers
+constexpr int64_t kChunk = 4096;  ///< points a partial weight gradient covers
 static_assert(kChunk % kBlock == 0);
 
 // One for each type and processor; the best that the machine has is chosen at load time.

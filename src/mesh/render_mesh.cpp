@@ -49,11 +49,9 @@ Tensor render_mesh(const Tensor& vertices, const Tensor& rest, const RenderMesh&
   if (rast_out) *rast_out = rast.detach();
   // Shade covered pixels only.
   const Tensor covered = (rast.detach().select(3, 3) > 0).flatten().nonzero().flatten();
-  const Tensor colors = shader(surface_points(rest, rast, mesh.faces, covered)).t();
-  const Tensor shaded = at::cat({colors, at::ones({covered.size(0), 1}, colors.options())}, 1);
-  const Tensor picture = at::zeros({views * height * width, shaded.size(1)}, shaded.options())
-                             .index_copy_(0, covered, shaded)
-                             .view({views, height, width, shaded.size(1)});
+  const Tensor colors = shader(surface_points(rest, rast, mesh.faces, covered));
+  const Tensor picture = paint_pixels(colors, covered, views * height * width)
+                             .view({views, height, width, colors.size(0) + 1});
   return antialias(picture, rast, clip, mesh.faces, mesh.twins);
 }
 

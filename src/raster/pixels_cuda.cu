@@ -5,6 +5,8 @@
 namespace tt3d {
 
 #define TT3D_INSTANTIATE(T)                                                                        \
+  template void for_each_index(const Cuda&, int64_t, const raster::PaintPixel<T>&);                \
+  template void for_each_index(const Cuda&, int64_t, const raster::PaintBackwardPixel<T>&);        \
   template void for_each_index(const Cuda&, int64_t, const raster::InterpolatePixel<T>&);          \
   template void for_each_index(const Cuda&, int64_t, const raster::AttributeDerivativesPixel<T>&); \
   template void for_each_index(const Cuda&, int64_t, const raster::FacingFace<T>&);                \

@@ -4,6 +4,7 @@
 
 #include "antialias_math.h"
 #include "interpolate_math.h"
+#include "paint_math.h"
 #include "texture_math.h"
 
 /// Loops over the raster bodies that need more than for_each_index: plain pointers in, plain

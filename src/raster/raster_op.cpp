@@ -137,6 +137,35 @@ struct Interpolate : public Function<Interpolate> {
   }
 };
 
+struct PaintPixels : public Function<PaintPixels> {
+  static Tensor forward(AutogradContext* ctx, const Tensor& colors_in, const Tensor& pixels,
+                        int64_t size) {
+    const Tensor colors = colors_in.contiguous();
+    const int64_t channels = colors.size(0), count = colors.size(1);
+    Tensor picture = at::zeros({size, channels + 1}, colors.options());
+    TT3D_DISPATCH(colors, "paint_pixels", [&] {
+      const raster::PaintPixel<scalar_t> body = {
+          colors.const_data_ptr<scalar_t>(), pixels.const_data_ptr<int64_t>(),
+          picture.mutable_data_ptr<scalar_t>(), channels, count};
+      for_each_index_on(colors, count, body);
+    });
+    ctx->save_for_backward({pixels});
+    return picture;
+  }
+  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
+    const Tensor pixels = ctx->get_saved_variables()[0], grad = grads[0].contiguous();
+    const int64_t channels = grad.size(1) - 1, count = pixels.size(0);
+    Tensor grad_colors = at::empty({channels, count}, grad.options());
+    TT3D_DISPATCH(grad, "paint_pixels_backward", [&] {
+      const raster::PaintBackwardPixel<scalar_t> body = {
+          grad.const_data_ptr<scalar_t>(), pixels.const_data_ptr<int64_t>(),
+          grad_colors.mutable_data_ptr<scalar_t>(), channels, count};
+      for_each_index_on(grad, count, body);
+    });
+    return {grad_colors, Tensor(), Tensor()};
+  }
+};
+
 template <typename T>
 raster::AntialiasScene<T> scene_of(const Tensor& rast, const Tensor& clip, const Tensor& faces,
                                    const Tensor& silhouette) {
@@ -320,6 +349,16 @@ SurfacePoints surface_points(const Tensor& vertices, const Tensor& rast, const T
                              const Tensor& pixels) {
   const Tensor positions = interpolate(vertices, rast, faces).view({-1, 3});
   return {positions.index_select(0, pixels), rast.reshape({-1, 4}).index_select(0, pixels)};
+}
+
+Tensor paint_pixels(const Tensor& colors, const Tensor& pixels, int64_t size) {
+  TORCH_CHECK(colors.dim() == 2 && colors.size(0) >= raster::kAlpha,
+              "colors must be [C,P] with C at least 3");
+  TORCH_CHECK(pixels.dim() == 1 && pixels.scalar_type() == at::kLong && pixels.is_contiguous() &&
+                  pixels.size(0) == colors.size(1),
+              "pixels must be dense [P] int64");
+  check_same_device("paint_pixels", {colors, pixels});
+  return PaintPixels::apply(colors, pixels, size);
 }
 
 Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,

@@ -156,6 +156,14 @@ TEST_F(RasterOnGpu, InterpolateAndItsGradients) {
   }
 }
 
+TEST_F(RasterOnGpu, PaintedPixelsAndTheirGradients) {
+  const Tensor pixels = at::randperm(5000, at::kLong).narrow(0, 0, 2000).contiguous();
+  expect_same(
+      "paint_pixels", gpu,
+      [&](const auto& in) { return paint_pixels(in[0], pixels.to(in[0].device()), 5000); },
+      {uniform({6, 2000}, 0, 1, 38)}, 0);
+}
+
 TEST_F(RasterOnGpu, AttributeDerivatives) {
   for (const Scene& s : finite_scenes()) {
     const Tensor attributes = uniform({s.clip.size(1), 2}, -1, 1, 32);

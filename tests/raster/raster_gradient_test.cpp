@@ -87,6 +87,30 @@ TEST(RasterGradient, InterpolateOfAnyWidthAgainstTensorReference) {
   }
 }
 
+TEST(RasterGradient, PaintedPixelsAgainstCentralDifferences) {
+  const at::Tensor pixels = at::tensor({7, 2, 11, 0}, at::kLong);
+  for (const int64_t channels : {3, 6}) {
+    const at::Tensor colors = testing::uniform({channels, 4}, 0, 1, 41);
+    // In plain tensor operations: rows of colours, alpha in the fourth column.
+    const at::Tensor rows = colors.t();
+    const at::Tensor shown = at::cat(
+        {rows.narrow(1, 0, 3), at::ones({4, 1}, rows.options()), rows.narrow(1, 3, channels - 3)},
+        1);
+    const at::Tensor expected =
+        at::zeros({12, channels + 1}, rows.options()).index_copy(0, pixels, shown);
+    EXPECT_TRUE(at::equal(paint_pixels(colors, pixels, 12), expected));
+    const at::Tensor weight = testing::uniform({12, channels + 1}, -1, 1, 42);
+    EXPECT_LT(testing::gradient_error(
+                  [&](const auto& in) {
+                    return (paint_pixels(in[0], pixels, 12).square() * weight).sum();
+                  },
+                  {colors}),
+              1e-7);
+  }
+  EXPECT_THROW((void)paint_pixels(at::zeros({2, 4}), pixels, 12), c10::Error);
+  EXPECT_THROW((void)paint_pixels(at::zeros({3, 5}), pixels, 12), c10::Error);
+}
+
 TEST(RasterGradient, AntialiasAgainstCentralDifferences) {
   const at::Tensor faces = scene_faces();
   const at::Tensor twins = edge_twins(faces);

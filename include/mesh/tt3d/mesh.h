@@ -84,9 +84,9 @@ struct RenderMesh {
 
 /// Views of a mesh: vertices [V,3] where they are, rest [V,3] where the shader looks their points
 /// up (the same tensor, or the undeformed positions: the appearance then sticks to the surface).
-/// Cameras share one picture size. Returns [N,H,W,C+1], premultiplied colours, alpha, antialiased
-/// at silhouettes. Differentiable in vertices, rest and whatever the shader holds. `rast_out`
-/// receives the rasterisation.
+/// Cameras share one picture size. Returns [N,H,W,C+1], antialiased at silhouettes: premultiplied
+/// colours, alpha, then what the shader has beyond three rows. Differentiable in vertices, rest and
+/// whatever the shader holds. `rast_out` receives the rasterisation.
 [[nodiscard]] at::Tensor render_mesh(const at::Tensor& vertices, const at::Tensor& rest,
                                      const RenderMesh& mesh, const std::vector<Camera>& cameras,
                                      const SurfaceShader& shader, at::Tensor* rast_out = nullptr);

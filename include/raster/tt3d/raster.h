@@ -44,6 +44,13 @@ using SurfaceShader = std::function<at::Tensor(const SurfacePoints& points)>;
 [[nodiscard]] SurfacePoints surface_points(const at::Tensor& vertices, const at::Tensor& rast,
                                            const at::Tensor& faces, const at::Tensor& pixels);
 
+/// A picture of what pixels show: colors [C,P], C at least 3; pixels [P] int64, flat indices of
+/// covered ones, each once, below `size`, the pixels of all views. Returns [size, C + 1]: the first
+/// three rows of colors, alpha, then the other rows; 0 where nothing is painted. Differentiable
+/// with respect to colors.
+[[nodiscard]] at::Tensor paint_pixels(const at::Tensor& colors, const at::Tensor& pixels,
+                                      int64_t size);
+
 /// Screen-space derivatives of an interpolated attribute, for mipmap levels: clip as given to
 /// rasterize. Returns [N,H,W,2C] with (d/dx, d/dy) per channel, in units per pixel (y down).
 /// Not differentiable.
