@@ -31,9 +31,12 @@ KERNELS = {
 
 
 def kernel_times(name: str, threads: int) -> tuple[list[int], list[float]]:
-    """Return sizes and milliseconds of a benchmark of kernel_bench."""
+    """Return sizes and milliseconds of a benchmark of kernel_bench. It takes seconds of each: a first
+    call on a large picture maps its memory, which takes longer than later calls do.
+    """
     done = subprocess.run(
-        [BUILD / "kernel_bench", f"--benchmark_filter=^{name}/", "--benchmark_format=json"],
+        [BUILD / "kernel_bench", f"--benchmark_filter=^{name}/", "--benchmark_format=json",
+         "--benchmark_min_time=2"],
         env={**os.environ, "OMP_NUM_THREADS": str(threads)},
         check=True, capture_output=True, text=True,
     )  # fmt: skip
