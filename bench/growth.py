@@ -31,7 +31,7 @@ KERNELS = {
 
 
 def kernel_times(name: str, threads: int) -> tuple[list[int], list[float]]:
-    """Return sizes and milliseconds of a benchmark of kernel_bench. It takes seconds of each: a first
+    """Return sizes and milliseconds of a benchmark of kernel_bench. Each takes seconds: the first
     call on a large picture maps its memory, which takes longer than later calls do.
     """
     done = subprocess.run(
