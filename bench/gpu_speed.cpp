@@ -8,6 +8,7 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "support/shapes.h"
@@ -25,8 +26,7 @@
 //                             prints rows of a Markdown table: operator, size, milliseconds on both
 //                             (median of the repetitions), their ratio
 //   gpu_speed --peers MESH    times what bench/gpu_peers.py compares with other programs, on the
-//   GPU
-//                             alone; prints {name: milliseconds}. MESH: as for kernel_bench
+//                             GPU alone; prints {name: milliseconds}. MESH: as for kernel_bench
 //   gpu_speed --profile MESH  the same, each three times and untimed, for a profiler
 namespace tt3d {
 namespace {
@@ -41,6 +41,12 @@ void wait_for(at::Device device) {
   if (device.is_cuda()) (void)at::zeros({1}, at::TensorOptions().device(device)).item<float>();
 }
 
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<int64_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
 double median_ms(const Case& prepare, at::Device device, int repetitions) {
   const std::function<void()> work = prepare(device);
   work();  // warm
@@ -52,8 +58,7 @@ double median_ms(const Case& prepare, at::Device device, int repetitions) {
     wait_for(device);
     times.push_back(1e3 * (now_seconds() - start));
   }
-  std::nth_element(times.begin(), times.begin() + repetitions / 2, times.end());
-  return times[static_cast<size_t>(repetitions / 2)];
+  return median(std::move(times));
 }
 
 void print_row(const std::string& name, const std::string& size, const Case& prepare,
@@ -103,7 +108,16 @@ Case mlp_case(int64_t points, bool half) {
   };
 }
 
-/// Rendering a sphere with a colour a vertex: rasterize, interpolate, antialias.
+/// Rasterizes, interpolates colours, antialiases; gradients to positions and colours.
+std::function<void()> drawing(const Tensor& clip, const Tensor& colors, const Tensor& faces,
+                              int64_t size) {
+  return both_ways({clip, colors}, [faces, twins = edge_twins(faces), size](const auto& in) {
+    const Tensor rast = rasterize(in[0], faces, size, size);
+    return antialias(interpolate(in[1], rast, faces), rast, in[0], faces, twins);
+  });
+}
+
+/// Rendering a sphere with a colour a vertex.
 Case render_case(int levels, int64_t size) {
   return [levels, size](at::Device device) {
     const testing::Shape shape = testing::sphere(levels);
@@ -113,13 +127,8 @@ Case render_case(int levels, int64_t size) {
                                   1)
                             .unsqueeze(0)
                             .to(device);
-    const Tensor faces = shape.faces.to(device), twins = edge_twins(faces);
-    return both_ways({clip, random({shape.vertices.size(0), 4}, 0, 1, 7, device)},
-                     [faces, twins, size](const auto& in) {
-                       const Tensor rast = rasterize(in[0], faces, size, size);
-                       const Tensor color = interpolate(in[1], rast, faces);
-                       return antialias(color, rast, in[0], faces, twins);
-                     });
+    return drawing(clip, random({shape.vertices.size(0), 4}, 0, 1, 7, device),
+                   shape.faces.to(device), size);
   };
 }
 
@@ -186,20 +195,15 @@ double sustained_ms(const std::function<void()>& work, at::Device gpu) {
     wait_for(gpu);
     times.push_back(1e3 * (now_seconds() - start) / kCalls);
   }
-  std::nth_element(times.begin(), times.begin() + kRounds / 2, times.end());
-  return times[kRounds / 2];
+  return median(std::move(times));
 }
 
-/// Rasterize, interpolate colours, antialias; gradients to positions and colours.
+/// A coloured mesh of a file, the same in all views.
 std::function<void()> colored_mesh(const TensorFile& file, int64_t views, int64_t size,
                                    at::Device gpu) {
   const Tensor clip = file.get("clip", {1, -1, 4}, at::kFloat).to(gpu).expand({views, -1, -1});
-  const Tensor faces = file.get("faces", {-1, 3}, at::kInt).to(gpu), twins = edge_twins(faces);
-  return both_ways({clip.contiguous(), file.get("colors", {-1, 3}, at::kFloat).to(gpu)},
-                   [faces, twins, size](const auto& in) {
-                     const Tensor rast = rasterize(in[0], faces, size, size);
-                     return antialias(interpolate(in[1], rast, faces), rast, in[0], faces, twins);
-                   });
+  return drawing(clip.contiguous(), file.get("colors", {-1, 3}, at::kFloat).to(gpu),
+                 file.get("faces", {-1, 3}, at::kInt).to(gpu), size);
 }
 
 /// A training step of a hash grid with a network 35-64-64-6 behind it: look-up, squared error,

@@ -203,7 +203,8 @@ Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
         return channels.size() == 1 ? shown.colors : at::cat(channels);
       });
   const Tensor picture = rendered.permute({0, 3, 1, 2});
-  shown.pictures = picture.narrow(1, 0, 4);
+  // Not a view of all channels: its gradient would be copied.
+  shown.pictures = picture.size(1) == 4 ? picture : picture.narrow(1, 0, 4);
   if (with_clean) shown.clean = picture.narrow(1, 4, 3);
   if (with_normals) shown.normals = picture.narrow(1, with_clean ? 7 : 4, 3);
   return shown;

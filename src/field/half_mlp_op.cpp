@@ -101,8 +101,10 @@ struct HalfMlp : public Function<HalfMlp> {
     Tensor grad_x;
     if (ctx->needs_input_grad(0)) grad_x = at::empty_like(x);
     variable_list results = {grad_x};
-    Tensor sums = at::zeros({net.sums()}, x.options());
-    if (count > 0) {
+    Tensor sums;
+    if (count == 0) {
+      sums = at::zeros({net.sums()}, x.options());
+    } else {
       const Tensor grad = grads[0].contiguous();
       const Tensor largest = at::linalg_vector_norm(grad, INFINITY);
       with_depth(net.count, [&](auto layers) {

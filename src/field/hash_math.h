@@ -114,7 +114,7 @@ TT3D_HD T dot_entry(const T* table, uint32_t entry, const T grad[F]) {
   return value;
 }
 
-/// Adds to one entry. From sm_90 on the GPU takes two or four floats in one atomic.
+/// Adds to one entry. From sm_90 on the GPU takes two floats in one atomic.
 template <typename T, int F>
 TT3D_HD void add_to_entry(T* table, uint32_t entry, T weight, const T value[F]) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
