@@ -41,31 +41,53 @@ TT3D_HD Vector load(const T* from) {
   return v;
 }
 
-/// What rows [y_begin,y_end) of a view show, a plane for each number of a pixel: a block's row is a
-/// vector in each. Blocks and vectors of rows reach beyond the last ones, and so do the planes.
+/// A triangle that may cover pixels, and which.
+struct Candidate {
+  int32_t face;
+  int x_begin, x_end, y_begin, y_end;
+};
+
+/// What the pixels of a block's row show.
+template <typename T>
+struct Group {
+  double depth[kColumns];                     ///< kBeyond where nothing is shown
+  T u[kColumns], v[kColumns], shown[kColumns];  ///< shown: triangle + 1, or 0
+};
+
+/// What rows [y_begin,y_end) of a view show. Blocks and vectors of rows reach beyond the last row
+/// and column, and so does the memory.
 template <typename T>
 struct Band {
   int64_t width;
+  int64_t stride;  ///< groups from a row to the next
   int y_begin, y_end;
-  std::vector<double> depth;   ///< kBeyond where nothing is shown
-  std::vector<T> u, v, shown;  ///< shown: triangle + 1, or 0
+  std::vector<Group<T>> groups;
   std::vector<double> px, py;  ///< coordinates of columns and rows
-  Band(const Sizes& s, int64_t first, int64_t last)
-      : width(s.width), y_begin(static_cast<int>(first)), y_end(static_cast<int>(last)) {
-    const int64_t rows = last - first + kColumns, pixels = rows * width + kColumns;
-    depth.resize(pixels, kBeyond);
-    for (auto* plane : {&u, &v, &shown}) plane->resize(pixels);
-    for (int64_t x = 0; x < width + kColumns; ++x) px.push_back(pixel_x(x, width));
+  float middle;                ///< depth beyond which triangles are drawn last
+  std::unique_ptr<Candidate[]> far;
+  int64_t far_count = 0;
+  Band(const Sizes& s, int64_t first, int64_t last, float middle_depth)
+      : width(s.width),
+        stride((s.width + kColumns - 1) / kColumns),
+        y_begin(static_cast<int>(first)),
+        y_end(static_cast<int>(last)),
+        middle(middle_depth),
+        far(std::make_unique_for_overwrite<Candidate[]>(s.faces)) {
+    const int64_t rows = last - first + kColumns;
+    Group<T> empty = {};
+    std::fill_n(empty.depth, kColumns, kBeyond);
+    groups.resize(rows * stride + 1, empty);
+    for (int64_t x = 0; x < (stride + 1) * kColumns; ++x) px.push_back(pixel_x(x, width));
     for (int64_t y = 0; y < rows; ++y) py.push_back(pixel_y(first + y, s.height));
   }
 };
 
-/// A batch, a row for each number, so that loops over its triangles become vectors.
+/// A batch; what is computed has a row for each number, so that loops over its triangles become
+/// vectors.
 template <typename T>
 struct Batch {
   int count = 0;
-  int32_t face[kBatch] = {};
-  int x_begin[kBatch], x_end[kBatch], y_begin[kBatch], y_end[kBatch];
+  Candidate of[kBatch] = {};
   T corner[3][4][kBatch];     ///< x, y, z, w of the vertices
   double edge[3][3][kBatch];  ///< a, b, c of their functions
   double depth[3][kBatch];    ///< and of the depth's
@@ -79,33 +101,61 @@ struct Batch {
     TriangleSetup t;
     for (int k = 0; k < 3; ++k) t.edge[k] = {edge[k][0][i], edge[k][1][i], edge[k][2][i]};
     t.depth = {depth[0][i], depth[1][i], depth[2][i]};
-    t.x_begin = x_begin[i];
-    t.x_end = x_end[i];
-    t.y_begin = y_begin[i];
-    t.y_end = y_end[i];
+    t.x_begin = of[i].x_begin;
+    t.x_end = of[i].x_end;
+    t.y_begin = of[i].y_begin;
+    t.y_end = of[i].y_end;
     return t;
   }
 };
 
-/// Fills the batch with the next triangles from `face` on that may cover a pixel of the band;
-/// returns the one after.
+/// Fills the batch with the next near triangles from `face` on that may cover a pixel of the band,
+/// and lists the far ones among them; returns the one after.
 template <typename T>
 TT3D_HD int64_t choose(const int32_t* faces, const VertexBounds* points, const Sizes& s,
-                       const Band<T>& band, int64_t face, Batch<T>& batch) {
+                       Band<T>& band, int64_t face, Batch<T>& batch) {
   batch.count = 0;
   for (; face < s.faces && batch.count < kBatch; ++face) {
     const int32_t* corner = faces + 3 * face;
     TriangleSetup t;
-    const bool covers = set_bounds(points[corner[0]], points[corner[1]], points[corner[2]], t);
-    const int i = batch.count;
-    batch.face[i] = static_cast<int32_t>(face);
-    batch.x_begin[i] = t.x_begin;
-    batch.x_end[i] = t.x_end;
-    batch.y_begin[i] = std::max(t.y_begin, band.y_begin);
-    batch.y_end[i] = std::min(t.y_end, band.y_end);
-    batch.count += covers & (batch.y_begin[i] < batch.y_end[i]);
+    const VertexBounds& first = points[corner[0]];
+    const bool covers = set_bounds(first, points[corner[1]], points[corner[2]], t);
+    const Candidate candidate = {static_cast<int32_t>(face), t.x_begin, t.x_end,
+                                 std::max(t.y_begin, band.y_begin),
+                                 std::min(t.y_end, band.y_end)};
+    const bool drawn = covers & (candidate.y_begin < candidate.y_end);
+    const bool far = first.depth > band.middle;
+    batch.of[batch.count] = candidate;
+    band.far[band.far_count] = candidate;
+    const Group<T>* group = band.groups.data() +
+                            (candidate.y_begin - band.y_begin) * band.stride +
+                            candidate.x_begin / kColumns;
+    for (int r = 0; r < 3; ++r) __builtin_prefetch(group + r * band.stride, 1);
+    batch.count += drawn & !far;
+    band.far_count += drawn & far;
   }
   return face;
+}
+
+/// Fills the batch with far triangles from the i-th on; returns the one after.
+template <typename T>
+TT3D_HD int64_t choose_far(const Band<T>& band, int64_t i, Batch<T>& batch) {
+  batch.count = static_cast<int>(std::min<int64_t>(kBatch, band.far_count - i));
+  std::copy_n(band.far.get() + i, batch.count, batch.of);
+  return i + batch.count;
+}
+
+/// Turns four rows of four numbers into four columns.
+template <typename T>
+TT3D_HD void transpose(Row<T> (&rows)[4]) {
+  const Row<T> ab_xy = __builtin_shufflevector(rows[0], rows[1], 0, 4, 1, 5);
+  const Row<T> ab_zw = __builtin_shufflevector(rows[0], rows[1], 2, 6, 3, 7);
+  const Row<T> cd_xy = __builtin_shufflevector(rows[2], rows[3], 0, 4, 1, 5);
+  const Row<T> cd_zw = __builtin_shufflevector(rows[2], rows[3], 2, 6, 3, 7);
+  rows[0] = __builtin_shufflevector(ab_xy, cd_xy, 0, 1, 4, 5);
+  rows[1] = __builtin_shufflevector(ab_xy, cd_xy, 2, 3, 6, 7);
+  rows[2] = __builtin_shufflevector(ab_zw, cd_zw, 0, 1, 4, 5);
+  rows[3] = __builtin_shufflevector(ab_zw, cd_zw, 2, 3, 6, 7);
 }
 
 /// Loads the vertices of four triangles from the i-th on, turning rows of vertices into the
@@ -113,19 +163,12 @@ TT3D_HD int64_t choose(const int32_t* faces, const VertexBounds* points, const S
 template <typename T>
 TT3D_HD void load_four(const T* clip, const int32_t* faces, int i, Batch<T>& batch) {
   for (int k = 0; k < 3; ++k) {
-    const auto vertex = [&](int j) TT3D_INLINE {
-      return load<Row<T>>(
-          clip + 4 * static_cast<int64_t>(faces[3 * static_cast<int64_t>(batch.face[i + j]) + k]));
-    };
-    const Row<T> a = vertex(0), b = vertex(1), c = vertex(2), d = vertex(3);
-    const Row<T> ab_xy = __builtin_shufflevector(a, b, 0, 4, 1, 5);
-    const Row<T> ab_zw = __builtin_shufflevector(a, b, 2, 6, 3, 7);
-    const Row<T> cd_xy = __builtin_shufflevector(c, d, 0, 4, 1, 5);
-    const Row<T> cd_zw = __builtin_shufflevector(c, d, 2, 6, 3, 7);
-    const Row<T> rows[4] = {__builtin_shufflevector(ab_xy, cd_xy, 0, 1, 4, 5),
-                            __builtin_shufflevector(ab_xy, cd_xy, 2, 3, 6, 7),
-                            __builtin_shufflevector(ab_zw, cd_zw, 0, 1, 4, 5),
-                            __builtin_shufflevector(ab_zw, cd_zw, 2, 3, 6, 7)};
+    Row<T> rows[4];
+    for (int j = 0; j < 4; ++j) {
+      const int32_t vertex = faces[3 * static_cast<int64_t>(batch.of[i + j].face) + k];
+      rows[j] = load<Row<T>>(clip + 4 * static_cast<int64_t>(vertex));
+    }
+    transpose<T>(rows);
     for (int m = 0; m < 4; ++m) std::memcpy(batch.corner[k][m] + i, &rows[m], sizeof rows[m]);
   }
 }
@@ -158,102 +201,140 @@ template <typename T>
 struct Painter {
   typedef Row<double> Lanes;
   typedef Row<int64_t> Mask;
-  /// The values of a triangle's functions: three edges', then the depth's.
+  /// A row of a block: the values of the edges' functions, and the depth.
   struct Values {
-    Lanes of[4];
+    Lanes e[3];
+    Lanes zw;
   };
   static constexpr Mask kPlace = {0, 1, 2, 3};
 
   Band<T>& band;
 
   TT3D_HD static bool any(const Mask& mask) {
-    const auto bytes = __builtin_convertvector(mask, Row<int8_t>);
-    uint32_t word;
-    static_assert(sizeof bytes == sizeof word);
-    std::memcpy(&word, &bytes, sizeof word);
-    return word != 0;
+    const auto either = __builtin_shufflevector(mask, mask, 0, 1) |
+                        __builtin_shufflevector(mask, mask, 2, 3);
+    return (either[0] | either[1]) != 0;
   }
 
-  /// Writes the lanes of a mask to a plane.
+  /// Writes the lanes of a mask.
   template <typename Number>
-  TT3D_HD static void put(const Row<Number>& value, const Row<WholeAs<Number>>& mask,
-                          Number* plane) {
+  TT3D_HD static void put(const Row<Number>& value, const Row<WholeAs<Number>>& mask, Number* to) {
     typedef Row<WholeAs<Number>> Bits;
-    const Bits row = (mask & reinterpret_cast<const Bits&>(value)) | (~mask & load<Bits>(plane));
-    std::memcpy(plane, &row, sizeof row);
+    const Bits row = (mask & reinterpret_cast<const Bits&>(value)) | (~mask & load<Bits>(to));
+    std::memcpy(to, &row, sizeof row);
   }
 
-  /// Takes from the lanes that a row hits those where an edge function is 0 and which lie outside.
-  TT3D_HD static void settle_ties(const TriangleSetup& t, const Values& at, Mask& hit) {
+  /// Takes from the lanes that a row hits those where an edge function is 0 and which lie outside,
+  /// and those at the depth of what is shown, unless the triangle's index is lower.
+  TT3D_HD static void settle_ties(const TriangleSetup& t, T number, const Values& at,
+                                  const Group<T>& group, Mask& hit) {
     for (int i = 0; i < kColumns; ++i) {
-      const double e[3] = {at.of[0][i], at.of[1][i], at.of[2][i]};
-      if (!inside(t, e)) hit[i] = 0;
+      const double e[3] = {at.e[0][i], at.e[1][i], at.e[2][i]};
+      const bool behind = at.zw[i] == group.depth[i] && number > group.shown[i];
+      if (behind || !inside(t, e)) hit[i] = 0;
     }
   }
 
-  /// Draws a triangle in a block, whose first pixel in the band is `first`. Triangles come in
-  /// order: at equal depth the lower index stays.
+  /// Draws a triangle in a block, whose first row is `group`.
   TT3D_HD void draw_block(const TriangleSetup& t, T number, const Values (&at)[kRows],
-                          int64_t first) const {
-    double* depth = band.depth.data() + first;
-    Lanes smallest[kRows];
+                          Group<T>* group) const {
     Mask hit[kRows], some = {}, tied = {};
     for (int r = 0; r < kRows; ++r) {
-      const Lanes& zw = at[r].of[3];
-      smallest[r] = least(at[r].of[0], at[r].of[1], at[r].of[2]);
-      hit[r] = (smallest[r] >= 0) & (zw >= -1) & (zw < load<Lanes>(depth + r * band.width));
+      const auto shown = load<Lanes>(group[r * band.stride].depth);
+      const Lanes smallest = least(at[r].e[0], at[r].e[1], at[r].e[2]);
+      hit[r] = (smallest >= 0) & (at[r].zw >= -1) & (at[r].zw <= shown);
       some |= hit[r];
+      tied |= hit[r] & ((smallest == 0) | (at[r].zw == shown));
     }
     if (!any(some)) return;
-    for (int r = 0; r < kRows; ++r) tied |= hit[r] & (smallest[r] == 0);
     if (__builtin_expect(any(tied), 0)) {
-      for (int r = 0; r < kRows; ++r) settle_ties(t, at[r], hit[r]);
-    }
-    for (int r = 0; r < kRows; ++r) put_row(number, at[r], hit[r], first + r * band.width);
-  }
-
-  TT3D_HD void put_row(T number, const Values& at, const Mask& hit, int64_t pixel) const {
-    const Lanes scale = 1 / (at.of[0] + at.of[1] + at.of[2]);
-    const auto lanes = __builtin_convertvector(hit, Row<WholeAs<T>>);
-    put(at.of[3], hit, band.depth.data() + pixel);
-    put(__builtin_convertvector(at.of[0] * scale, Row<T>), lanes, band.u.data() + pixel);
-    put(__builtin_convertvector(at.of[1] * scale, Row<T>), lanes, band.v.data() + pixel);
-    put(Row<T>{} + number, lanes, band.shown.data() + pixel);
-  }
-
-  /// The functions' parts of columns, or of rows, four at once. Beyond the triangle's bounds the
-  /// depth is infinite: nothing is drawn there.
-  TT3D_HD static Values parts_of_columns(const TriangleSetup& t, const Lanes& px, int count) {
-    Values part;
-    for (int k = 0; k < 3; ++k) part.of[k] = t.edge[k].of_column(px);
-    part.of[3] = kPlace < count ? t.depth.of_column(px) : Lanes{} + kInfinity;
-    return part;
-  }
-  TT3D_HD static Values parts_of_rows(const TriangleSetup& t, const Lanes& py, int count) {
-    Values part;
-    for (int k = 0; k < 3; ++k) part.of[k] = t.edge[k].of_row(py);
-    part.of[3] = kPlace < count ? t.depth.of_row(py) : Lanes{} + kInfinity;
-    return part;
-  }
-
-  TT3D_HD void draw_triangle(const TriangleSetup& t, T number) const {
-    for (int x = t.x_begin; x < t.x_end; x += kColumns) {
-      const Values column = parts_of_columns(t, load<Lanes>(band.px.data() + x), t.x_end - x);
-      for (int y = t.y_begin; y < t.y_end; y += kRows) {
-        const int64_t line = y - band.y_begin;
-        const Values row = parts_of_rows(t, load<Lanes>(band.py.data() + line), t.y_end - y);
-        Values at[kRows];
-        for (int r = 0; r < kRows; ++r) {
-          for (int k = 0; k < 4; ++k) at[r].of[k] = column.of[k] + row.of[k][r];
-        }
-        draw_block(t, number, at, line * band.width + x);
+      for (int r = 0; r < kRows; ++r) {
+        settle_ties(t, number, at[r], group[r * band.stride], hit[r]);
       }
+    }
+    for (int r = 0; r < kRows; ++r) put_row(number, at[r], hit[r], group[r * band.stride]);
+  }
+
+  TT3D_HD static void put_row(T number, const Values& at, const Mask& hit, Group<T>& group) {
+    const Lanes scale = 1 / (at.e[0] + at.e[1] + at.e[2]);
+    const auto lanes = __builtin_convertvector(hit, Row<WholeAs<T>>);
+    put(at.zw, hit, group.depth);
+    put(__builtin_convertvector(at.e[0] * scale, Row<T>), lanes, group.u);
+    put(__builtin_convertvector(at.e[1] * scale, Row<T>), lanes, group.v);
+    put(Row<T>{} + number, lanes, group.shown);
+  }
+
+  /// Of four columns or rows from `begin` on, the depth function's part of those in [first,last),
+  /// infinity of others.
+  TT3D_HD static Lanes within(const Lanes& part, int begin, int first, int last) {
+    const Mask place = kPlace + begin;
+    return (place >= first) & (place < last) ? part : Lanes{} + kInfinity;
+  }
+  TT3D_HD Lanes depth_of_columns(const TriangleSetup& t, int x) const {
+    return within(t.depth.of_column(load<Lanes>(band.px.data() + x)), x, t.x_begin, t.x_end);
+  }
+  TT3D_HD Lanes depth_of_rows(const TriangleSetup& t, int y) const {
+    return within(t.depth.of_row(load<Lanes>(band.py.data() + y - band.y_begin)), y, t.y_begin,
+                  t.y_end);
+  }
+  TT3D_HD Group<T>* group_at(int x, int y) const {
+    return band.groups.data() + (y - band.y_begin) * band.stride + x / kColumns;
+  }
+
+  /// Whether all that a triangle may cover lies behind what is shown.
+  TT3D_HD bool is_hidden(const TriangleSetup& t) const {
+    constexpr int kAtOnce = 2;  // groups: nearly always all
+    for (int x = t.x_begin / kColumns * kColumns; x < t.x_end; x += kAtOnce * kColumns) {
+      for (int y = t.y_begin; y < t.y_end; y += kColumns) {
+        const Group<T>* group = group_at(x, y);
+        const Lanes row = depth_of_rows(t, y);
+        Mask some = {};
+        for (int i = 0; i < kAtOnce; ++i) {
+          const Lanes column = depth_of_columns(t, x + i * kColumns);
+          for (int r = 0; r < kColumns; ++r) {
+            some |= column + row[r] <= load<Lanes>(group[r * band.stride + i].depth);
+          }
+        }
+        if (any(some)) return false;
+      }
+    }
+    return true;
+  }
+
+  /// Outside the triangle's bounds the depth is infinite: nothing is drawn there. Blocks begin at
+  /// whole groups: what one triangle writes, its neighbour reads next, and processors pass that on
+  /// at once only where both are the same bytes.
+  TT3D_HD void draw_triangle(const TriangleSetup& t, T number) const {
+    for (int x = t.x_begin / kColumns * kColumns; x < t.x_end; x += kColumns) {
+      const Lanes zw_of_column = depth_of_columns(t, x);
+      const auto px = load<Lanes>(band.px.data() + x);
+      for (int y = t.y_begin; y < t.y_end; y += kRows) {
+        const Lanes zw_of_row = depth_of_rows(t, y);
+        const auto py = load<Lanes>(band.py.data() + y - band.y_begin);
+        Values at[kRows];
+        for (int r = 0; r < kRows; ++r) at[r].zw = zw_of_column + zw_of_row[r];
+        for (int k = 0; k < 3; ++k) {
+          const Lanes column = t.edge[k].of_column(px), row = t.edge[k].of_row(py);
+          for (int r = 0; r < kRows; ++r) at[r].e[k] = column + row[r];
+        }
+        draw_block(t, number, at, group_at(x, y));
+      }
+    }
+  }
+
+  /// far: nearer triangles hide most of these, so that depths are tested before edges.
+  TT3D_HD void draw_batch(const Batch<T>& batch, bool far) const {
+    for (int i = 0; i < batch.count; ++i) {
+      if (!batch.drawn[i]) continue;
+      const TriangleSetup t = batch.setup(i);
+      if (!far || !is_hidden(t)) draw_triangle(t, static_cast<T>(batch.of[i].face + 1));
     }
   }
 };
 
-/// All triangles of a view, in order: neighbours in a mesh are neighbours on the screen, so the
-/// band stays in the cache without sorting triangles into tiles first.
+/// All triangles of a view, the near half before the far half, which it mostly hides. Within a half
+/// in order: neighbours in a mesh are neighbours on the screen, so the band stays in the cache
+/// without sorting triangles into tiles first.
 template <typename T>
 TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* points,
                        const Sizes& s, Band<T>& band) {
@@ -262,23 +343,29 @@ TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* 
   for (int64_t f = 0; f < s.faces;) {
     f = choose(faces, points, s, band, f, batch);
     set_up(clip, faces, batch);
-    for (int i = 0; i < batch.count; ++i) {
-      if (batch.drawn[i]) painter.draw_triangle(batch.setup(i), static_cast<T>(batch.face[i] + 1));
-    }
+    painter.draw_batch(batch, false);
+  }
+  for (int64_t i = 0; i < band.far_count;) {
+    i = choose_far(band, i, batch);
+    set_up(clip, faces, batch);
+    painter.draw_batch(batch, true);
   }
 }
 
-/// Turns a band's planes into rows of pixels.
+/// Turns a band's groups into rows of pixels.
 template <typename T>
-TT3D_HD void write_pixels(const Band<T>& band, T* __restrict rast) {
-  const int64_t count = (band.y_end - band.y_begin) * band.width;
-  const double* depth = band.depth.data();
-  const T *u = band.u.data(), *v = band.v.data(), *shown = band.shown.data();
-  for (int64_t i = 0; i < count; ++i) {
-    rast[4 * i] = u[i];
-    rast[4 * i + 1] = v[i];
-    rast[4 * i + 2] = shown[i] != 0 ? static_cast<T>(depth[i]) : T(0);
-    rast[4 * i + 3] = shown[i];
+TT3D_HD void write_pixels(const Band<T>& band, T* rast) {
+  for (int64_t line = 0; line < band.y_end - band.y_begin; ++line) {
+    for (int64_t x = 0; x < band.width; x += kColumns) {
+      const Group<T>& group = band.groups[line * band.stride + x / kColumns];
+      const auto shown = load<Row<T>>(group.shown);
+      const auto depth = __builtin_convertvector(load<Row<double>>(group.depth), Row<T>);
+      Row<T> pixels[kColumns] = {load<Row<T>>(group.u), load<Row<T>>(group.v),
+                                 shown != 0 ? depth : Row<T>{}, shown};
+      transpose<T>(pixels);
+      const int64_t count = std::min<int64_t>(kColumns, band.width - x);
+      std::memcpy(rast + 4 * (line * band.width + x), pixels, count * sizeof pixels[0]);
+    }
   }
 }
 
@@ -332,11 +419,24 @@ TT3D_RASTERIZE_LOOPS(float)
 TT3D_RASTERIZE_LOOPS(double)
 #undef TT3D_RASTERIZE_LOOPS
 
+/// A depth amid a view's vertices, from some of them. It tells which triangles are drawn first, not
+/// what they show.
+float middle_depth(const VertexBounds* points, int64_t count) {
+  constexpr int64_t kSamples = 256;
+  float sum = 0, in_front = 0;
+  for (int64_t i = 0; i < count; i += std::max<int64_t>(1, count / kSamples)) {
+    if (!points[i].in_front) continue;
+    sum += points[i].depth;
+    in_front += 1;
+  }
+  return sum / in_front;
+}
+
 /// Rows [y_begin,y_end) of a view, whose pixels start at `rast`. points: of its vertices.
 template <typename T>
 void draw_rows(const T* clip, const int32_t* faces, const VertexBounds* points, T* rast,
                int64_t y_begin, int64_t y_end, const Sizes& s) {
-  Band<T> band(s, y_begin, y_end);
+  Band<T> band(s, y_begin, y_end, middle_depth(points, s.vertices));
   draw_loop(clip, faces, points, s, band);
   write_loop(band, rast + 4 * y_begin * s.width);
 }

@@ -140,17 +140,19 @@ TT3D_HD Value greatest(const Value& a, const Value& b, const Value& c) {
 struct VertexBounds {
   int x_begin, y_begin, x_past, y_past;
   bool in_front;  ///< of the camera
+  float depth;    ///< z/w there, to tell near from far; no test relies on it
 };
 
 TT3D_HD VertexBounds vertex_bounds(const ClipVertex& v, int64_t height, int64_t width) {
-  if (!(v.w > 0)) return {0, 0, static_cast<int>(width), static_cast<int>(height), false};
+  if (!(v.w > 0)) return {0, 0, static_cast<int>(width), static_cast<int>(height), false, 0};
   // A margin covers rounding, the edge functions decide.
   constexpr double kMargin = 1e-6;
   const double inverse = 1 / v.w;
   const double x = (v.x * inverse + 1) * (0.5 * static_cast<double>(width)) - 0.5;
   const double y = (1 - v.y * inverse) * (0.5 * static_cast<double>(height)) - 0.5;
   return {pixel_from(x - kMargin, width), pixel_from(y - kMargin, height),
-          pixel_past(x + kMargin, width), pixel_past(y + kMargin, height), true};
+          pixel_past(x + kMargin, width), pixel_past(y + kMargin, height), true,
+          static_cast<float>(v.z * inverse)};
 }
 
 /// Sets the pixel range of a triangle; false when it is empty.
