@@ -28,9 +28,16 @@ TT3D_HD double cross(const Relative& p, const Relative& q) { return p.x * q.y - 
 /// The view of face i of all views. (A division costs as much as the rest of a face.)
 TT3D_HD int64_t view_of_face(int64_t i, const Sizes& s) { return i < s.faces ? 0 : i / s.faces; }
 
-/// Body: which way face i (of all views) is turned, 1 where its vertices go counter-clockwise. The
-/// determinant of its clip positions without z has the sign of its area on the screen, also where
-/// vertices are behind the camera (Olano & Greer 1997).
+/// The determinant of a triangle's clip positions without z, which has the sign of its area on the
+/// screen, also where vertices are behind the camera (Olano & Greer 1997).
+template <typename Value>
+TT3D_HD Value turn_of(const FlatVertex<Value> corner[3]) {
+  const FlatVertex<Value>&a = corner[0], &b = corner[1], &c = corner[2];
+  return a.x * (b.y * c.w - b.w * c.y) - a.y * (b.x * c.w - b.w * c.x) +
+         a.w * (b.x * c.y - b.y * c.x);
+}
+
+/// Body: which way face i (of all views) is turned, 1 where its vertices go counter-clockwise.
 template <typename T>
 struct FacingFace {
   const T* clip;
@@ -41,12 +48,12 @@ struct FacingFace {
     const int64_t view = view_of_face(i, s);
     const int32_t* triangle = faces + 3 * (i - view * s.faces);
     const T* points = clip + view * s.vertices * 4;
-    const ClipVertex a = load_vertex(points, triangle[0]);
-    const ClipVertex b = load_vertex(points, triangle[1]);
-    const ClipVertex c = load_vertex(points, triangle[2]);
-    const double determinant = a.x * (b.y * c.w - b.w * c.y) - a.y * (b.x * c.w - b.w * c.x) +
-                               a.w * (b.x * c.y - b.y * c.x);
-    facing[i] = determinant > 0;
+    FlatVertex<double> corner[3];
+    for (int k = 0; k < 3; ++k) {
+      const ClipVertex v = load_vertex(points, triangle[k]);
+      corner[k] = {v.x, v.y, v.w};
+    }
+    facing[i] = turn_of(corner) > 0;
   }
 };
 
@@ -59,19 +66,21 @@ struct SilhouetteEdges {
   uint8_t* edges;         ///< [N,F]
   Sizes s;
   TT3D_HD void operator()(int64_t i) const {
-    const int64_t first = view_of_face(i, s) * s.faces, face = i - first;
+    const int64_t first = view_of_face(i, s) * s.faces;
+    const uint8_t* turned = facing + first;
+    const int64_t side = 3 * (i - first);
     unsigned bits = 0;
     for (int k = 0; k < 3; ++k) {
-      const int32_t twin = twins[3 * face + k];
+      const int32_t twin = twins[side + k];
       if (twin < 0) {
         bits |= 1U << k;
         continue;
       }
-      const int32_t other = twin / 3;
-      const int32_t next = twin == 3 * other + 2 ? twin - 2 : twin + 1;
+      const uint32_t at = static_cast<uint32_t>(twin), other = at / 3;
+      const uint32_t next = at == 3 * other + 2 ? at - 2 : at + 1;
       // Faces of one orientation run along their common edge in opposite directions.
-      const bool agree = faces[next] == faces[3 * face + (k + 2) % 3];
-      bits |= static_cast<unsigned>((facing[i] == facing[first + other]) != agree) << k;
+      const bool agree = faces[next] == faces[side + (k + 2) % 3];
+      bits |= static_cast<unsigned>((turned[i - first] == turned[other]) ^ agree) << k;
     }
     edges[i] = static_cast<uint8_t>(bits);
   }

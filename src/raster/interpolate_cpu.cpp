@@ -1,5 +1,6 @@
 #include "pixels_cpu.h"
 #include "raster_kernels.h"
+#include "rows_cpu.h"
 
 namespace tt3d::raster {
 namespace {
@@ -24,6 +25,86 @@ TT3D_HD void derive_rows(const AttributeDerivativesPixel<T>& body, int64_t first
   }
 }
 
+/// The first numbers of a vector; the others are 0.
+template <typename T, int64_t kCount>
+TT3D_HD Row<T> load_first(const T* from) {
+  if constexpr (kCount == kLanes) return load<Row<T>>(from);
+  Row<T> v = {from[0], from[1]};
+  if constexpr (sizeof(T) == sizeof(float)) {
+    // Both in one load, which the compiler does not see by itself.
+    typedef int64_t Pairs __attribute__((vector_size(2 * sizeof(int64_t))));
+    v = reinterpret_cast<Row<T>>(Pairs{load<int64_t>(from), 0});
+  }
+  for (int64_t k = 2; k < kCount; ++k) v[k] = from[k];
+  return v;
+}
+
+/// Pixel i's gradients where a vertex's attributes fit into a vector: as the body's, in vectors.
+template <typename T, int64_t kChannels>
+TT3D_HD void spread_short(const InterpolateBackwardPixel<T>& body, int64_t i,
+                          const PartSums<T>& sums) {
+  const int64_t face = body.face_at(i);
+  if (face < 0) {
+    if (body.grad_rast) body.set_grad_rast(i, face, kChannels);
+    return;
+  }
+  const auto grad = load_first<T, kChannels>(body.grad_out + i * kChannels);
+  const int32_t* corners = body.faces + 3 * face;
+  const int32_t corner[3] = {corners[0], corners[1], corners[2]};
+  if (body.grad_rast) {
+    const auto attribute = [&](int k) TT3D_INLINE {
+      return load_first<T, kChannels>(body.attributes + corner[k] * kChannels);
+    };
+    const Row<T> last = attribute(2);
+    const Row<T> along_u = grad * (attribute(0) - last), along_v = grad * (attribute(1) - last);
+    // Both sums at once.
+    const Row<T> pairs = __builtin_shufflevector(along_u, along_v, 0, 4, 1, 5) +
+                         __builtin_shufflevector(along_u, along_v, 2, 6, 3, 7);
+    const Row<T> sum = pairs + __builtin_shufflevector(pairs, pairs, 2, 3, 0, 1);
+    const Row<T> out = __builtin_shufflevector(sum, Row<T>{}, 0, 1, 4, 5);
+    std::memcpy(body.grad_rast + 4 * i, &out, sizeof out);
+  }
+  if (!sums.rows) return;
+  const T u = body.rast[4 * i], v = body.rast[4 * i + 1];
+  sums.touch(corner[0], corner[1], corner[2]);
+  add_row<T>(sums.rows + int64_t{kLanes} * corner[0], u * grad);
+  add_row<T>(sums.rows + int64_t{kLanes} * corner[1], v * grad);
+  add_row<T>(sums.rows + int64_t{kLanes} * corner[2], (1 - u - v) * grad);
+}
+
+/// The same for any number of channels.
+template <typename T>
+TT3D_HD void spread_long(const InterpolateBackwardPixel<T>& body, int64_t i,
+                         const PartSums<T>& sums) {
+  const int64_t face = body.face_at(i), channels = body.s.channels;
+  if (body.grad_rast) body.set_grad_rast(i, face, channels);
+  if (!sums.rows || face < 0) return;
+  const T* grad = body.grad_out + i * channels;
+  const int32_t* corner = body.faces + 3 * face;
+  sums.touch(corner[0], corner[1], corner[2]);
+  for (int k = 0; k < 3; ++k) {
+    const T share = body.weight(i, k);
+    T* out = sums.rows + corner[k] * channels;
+    for (int64_t c = 0; c < channels; ++c) out[c] += share * grad[c];
+  }
+}
+
+/// Adds the gradients of pixels [first,last) in their order; sums without rows where none are
+/// wanted. Copies of the arguments, which what is written cannot change, stay in registers.
+template <typename T>
+TT3D_HD void spread_pixels(const InterpolateBackwardPixel<T> body, int64_t first, int64_t last,
+                           const PartSums<T> sums) {
+  with_channels(body.s.channels, [&](auto channels) TT3D_INLINE {
+    for (int64_t i = first; i < last; ++i) {
+      if constexpr (std::is_same_v<decltype(channels), int64_t>) {
+        spread_long(body, i, sums);
+      } else {
+        spread_short<T, decltype(channels)::value>(body, i, sums);
+      }
+    }
+  });
+}
+
 // target_clones needs plain functions.
 #define TT3D_INTERPOLATE_LOOPS(T)                                                                \
   TT3D_CPU_LOOP void write_loop(const InterpolatePixel<T>& body, int64_t first, int64_t last) {  \
@@ -32,10 +113,8 @@ TT3D_HD void derive_rows(const AttributeDerivativesPixel<T>& body, int64_t first
     });                                                                                          \
   }                                                                                              \
   TT3D_CPU_LOOP void spread_loop(const InterpolateBackwardPixel<T>& body, int64_t first,         \
-                                 int64_t last, T* sums) {                                        \
-    with_channels(body.s.channels, [&](auto channels) TT3D_INLINE {                              \
-      for (int64_t i = first; i < last; ++i) body.spread(i, channels, sums);                     \
-    });                                                                                          \
+                                 int64_t last, const PartSums<T>& sums) {                        \
+    spread_pixels(body, first, last, sums);                                                      \
   }                                                                                              \
   TT3D_CPU_LOOP void derive_loop(const AttributeDerivativesPixel<T>& body, int64_t first,        \
                                  int64_t last) {                                                 \
@@ -64,13 +143,17 @@ template <typename T>
 void scatter(const Cpu&, const InterpolateBackwardPixel<T>& body) {
   if (!body.grad_attributes) {
     at::parallel_for(0, body.s.pixels(), kPixelsATask,
-                     [&](int64_t first, int64_t last) { spread_loop(body, first, last, nullptr); });
+                     [&](int64_t first, int64_t last) { spread_loop(body, first, last, {}); });
     return;
   }
-  const auto add = [&](int64_t /*group*/, int64_t first, int64_t last, T* sums) {
+  const auto add = [&](int64_t /*group*/, int64_t first, int64_t last, const PartSums<T>& sums) {
     spread_loop(body, first, last, sums);
   };
-  scatter_in_parts(1, body.s.pixels(), body.s.vertices, body.s.channels, body.grad_attributes, add);
+  // Rows of two or three numbers are added to as vectors of four (with_channels).
+  const int64_t channels = body.s.channels;
+  const int64_t stride = channels == 2 || channels == 3 ? kLanes : channels;
+  scatter_in_parts(1, body.s.pixels(), {body.s.vertices, channels, stride}, body.grad_attributes,
+                   add);
 }
 
 #define TT3D_INSTANTIATE(T)                                                      \

@@ -61,17 +61,6 @@ struct InterpolateBackwardPixel {
     const T u = rast[4 * i], v = rast[4 * i + 1];
     return corner == 0 ? u : corner == 1 ? v : 1 - u - v;
   }
-  TT3D_HD void spread(int64_t i, int64_t channels, T* sums) const {
-    const int64_t face = face_at(i);
-    if (grad_rast) set_grad_rast(i, face, channels);
-    if (!sums || face < 0) return;
-    const T* grad = grad_out + i * channels;
-    for (int c = 0; c < 3; ++c) {
-      const T share = weight(i, c);
-      T* out = sums + faces[3 * face + c] * channels;
-      for (int64_t k = 0; k < channels; ++k) accumulate(out + k, share * grad[k]);
-    }
-  }
   TT3D_HD void set_grad_rast(int64_t i, int64_t face, int64_t channels) const {
     const T* grad = grad_out + i * channels;
     T grad_u = 0, grad_v = 0;

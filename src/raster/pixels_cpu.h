@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <memory>
 #include <type_traits>
+#include <vector>
 
 #include "rasterize_math.h"
 #include "tt3d/device.h"
@@ -30,38 +31,66 @@ TT3D_HD void with_channels(int64_t channels, const Visit& visit) {
 /// Of a function object within a loop: so that it is compiled for the loop's processor.
 #define TT3D_INLINE __attribute__((always_inline))
 
-/// Adds to sums that pixels share: of each group (say, a view) `rows` rows of `length` numbers.
-/// Calls add(group, first, last, sums) for parts of each group's pixels. All but a group's first
-/// part have sums of their own, which are added in their order, and the parts do not depend on the
-/// threads: neither do the bytes of the result. Where there are more rows than pixels, clearing and
-/// adding them would cost more than it saves; then a group is one part.
+/// Rows of sums that pixels share.
+struct SumRows {
+  int64_t count, length;
+  int64_t stride;  ///< from a row to the next while they are added to; at least the length
+};
+
+/// What a part of the pixels adds to the rows. Only blocks of rows that it adds to are cleared, and
+/// read in the end: a part of a picture shows a part of the mesh.
+template <typename T>
+struct PartSums {
+  static constexpr int64_t kBlock = 64;
+  T* rows;
+  uint8_t* touched;  ///< of each block
+  int64_t stride;
+
+  TT3D_HD static int64_t block_of(int32_t r) { return static_cast<uint32_t>(r) / kBlock; }
+  /// To be called before rows are added to.
+  TT3D_HD void touch(int32_t a, int32_t b, int32_t c) const {
+    const unsigned all = touched[block_of(a)] & touched[block_of(b)] & touched[block_of(c)];
+    if (__builtin_expect(all == 0, 0)) clear(a), clear(b), clear(c);
+  }
+  __attribute__((noinline)) void clear(int32_t r) const {
+    const int64_t block = block_of(r);
+    if (touched[block] != 0) return;
+    std::fill_n(rows + block * kBlock * stride, kBlock * stride, T{0});
+    touched[block] = 1;
+  }
+};
+
+/// Adds to sums that pixels share: of each group (say, a view) some rows. Calls add(group, first,
+/// last, part) for parts of each group's pixels, which have sums of their own. These are added in
+/// their order, and the parts do not depend on the threads: neither do the bytes of the result.
 template <typename T, typename Add>
-void scatter_in_parts(int64_t groups, int64_t pixels, int64_t rows, int64_t length, T* sums,
+void scatter_in_parts(int64_t groups, int64_t pixels, const SumRows& rows, T* sums,
                       const Add& add) {
-  constexpr int64_t kParts = 8;
-  const int64_t count = rows * length;
+  constexpr int64_t kParts = 8, kBlock = PartSums<T>::kBlock;
   const int64_t parts = std::clamp<int64_t>(
-      std::min(kParts / std::max<int64_t>(groups, 1), pixels / std::max<int64_t>(rows, 1)), 1,
+      std::min(kParts / std::max<int64_t>(groups, 1), pixels / std::max<int64_t>(rows.count, 1)), 1,
       kParts);
-  const auto others = std::make_unique_for_overwrite<T[]>(groups * (parts - 1) * count);
+  const int64_t blocks = (rows.count + kBlock - 1) / kBlock, size = blocks * kBlock * rows.stride;
+  const auto memory = std::make_unique_for_overwrite<T[]>(groups * parts * size);
+  std::vector<uint8_t> touched(groups * parts * blocks);
   for_each_task(groups * parts, [&](int64_t i) {
     const int64_t group = i / parts, part = i % parts;
-    T* out = sums + group * count;
-    if (part > 0) {
-      out = others.get() + (group * (parts - 1) + part - 1) * count;
-      std::fill_n(out, count, T{0});
-    }
-    add(group, part * pixels / parts, (part + 1) * pixels / parts, out);
+    add(group, part * pixels / parts, (part + 1) * pixels / parts,
+        PartSums<T>{memory.get() + i * size, touched.data() + i * blocks, rows.stride});
   });
-  if (parts == 1) return;
-  at::parallel_for(0, groups * count, 1 << 14, [&](int64_t begin, int64_t end) {
-    for (int64_t group = begin / count; group * count < end; ++group) {
-      const int64_t first = std::max<int64_t>(begin - group * count, 0);
-      const int64_t last = std::min(end - group * count, count);
-      T* out = sums + group * count;
-      const T* other = others.get() + group * (parts - 1) * count;
-      for (int64_t part = 1; part < parts; ++part, other += count) {
-        for (int64_t i = first; i < last; ++i) out[i] += other[i];
+  at::parallel_for(0, groups * blocks, 64, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      const int64_t group = i / blocks, block = i % blocks, first = block * kBlock;
+      const int64_t last = std::min(first + kBlock, rows.count);
+      for (int64_t p = group * parts; p < (group + 1) * parts; ++p) {
+        if (touched[p * blocks + block] == 0) continue;
+        const T* from = memory.get() + p * size;
+        T* to = sums + group * rows.count * rows.length;
+        for (int64_t r = first; r < last; ++r) {
+          for (int64_t k = 0; k < rows.length; ++k) {
+            to[r * rows.length + k] += from[r * rows.stride + k];
+          }
+        }
       }
     }
   });

@@ -40,6 +40,15 @@ void for_each_pixel(const Cuda& on, const Body& body) {
   for_each_index(on, body.s.pixels(), body);
 }
 
+// Bodies whose faces are independent.
+template <typename T>
+void for_each_face(const Cpu&, const FacingFace<T>& body);
+
+template <typename Body>
+void for_each_face(const Cuda& on, const Body& body) {
+  for_each_index(on, body.s.views * body.s.faces, body);
+}
+
 // Bodies whose texels are independent.
 template <typename T>
 void for_each_texel(const Cpu&, const HalveTexel<T>& body);

@@ -182,7 +182,7 @@ Tensor silhouette_edges(const Tensor& clip, const Tensor& faces, const Tensor& t
     const raster::FacingFace<scalar_t> body = {clip.const_data_ptr<scalar_t>(),
                                                faces.const_data_ptr<int32_t>(),
                                                facing.mutable_data_ptr<uint8_t>(), s};
-    for_each_index_on(clip, s.views * s.faces, body);
+    on_device_of(clip, [&](const auto& on) { raster::for_each_face(on, body); });
   });
   const raster::SilhouetteEdges body = {
       faces.const_data_ptr<int32_t>(), twins.const_data_ptr<int32_t>(),

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cstddef>
 #include <cstring>
 #include <limits>
 #include <memory>
@@ -6,6 +7,7 @@
 
 #include "pixels_cpu.h"
 #include "raster_kernels.h"
+#include "rows_cpu.h"
 
 // Compiled with -ffp-contract=off: both triangles at an edge must see the same bits.
 namespace tt3d::raster {
@@ -16,41 +18,39 @@ constexpr int kBatch = 64;
 
 /// Columns of the blocks of pixels that are tested at once: most triangles of a fine mesh fit into
 /// one or two blocks.
-constexpr int kColumns = 4, kRows = 2;
+constexpr int kColumns = kLanes, kRows = 2;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 /// The least depth beyond the far plane: what hides a pixel that shows nothing lies before it.
 constexpr double kBeyond = 1 + std::numeric_limits<double>::epsilon();
 
-template <typename T, int kCount>
-struct VectorOf {
-  typedef T Type __attribute__((vector_size(kCount * sizeof(T))));
-};
-template <typename T, int kCount>
-using Vector = typename VectorOf<T, kCount>::Type;
-template <typename T>
-using Row = Vector<T, kColumns>;
-/// Whole numbers of a number's size.
-template <typename T>
-using WholeAs = std::conditional_t<sizeof(T) == sizeof(int32_t), int32_t, int64_t>;
-
-template <typename Vector, typename T>
-TT3D_HD Vector load(const T* from) {
-  Vector v;
-  std::memcpy(&v, from, sizeof v);
-  return v;
-}
-
 /// A triangle that may cover pixels, and which.
 struct Candidate {
+  int x_begin, y_begin, x_end, y_end;
   int32_t face;
-  int x_begin, x_end, y_begin, y_end;
 };
+
+typedef Row<int32_t> Bounds;  ///< x_begin, y_begin, x_end, y_end
+
+/// As set_bounds: the pixels that three vertices allow, all at once.
+TT3D_HD Bounds bounds_of(const VertexBounds& p, const VertexBounds& q, const VertexBounds& r) {
+  static_assert(offsetof(VertexBounds, x_begin) == 0 && offsetof(VertexBounds, y_begin) == 4 &&
+                offsetof(VertexBounds, x_past) == 8 && offsetof(VertexBounds, y_past) == 12);
+  const auto a = load<Bounds>(&p.x_begin), b = load<Bounds>(&q.x_begin);
+  const auto c = load<Bounds>(&r.x_begin);
+  return __builtin_shufflevector(least(a, b, c), greatest(a, b, c), 0, 1, 6, 7);
+}
+
+TT3D_HD bool covers_any(const Bounds& b) {
+  const Bounds ends = __builtin_shufflevector(b, b, 2, 3, 2, 3);
+  const Row<int32_t> begins_before = b < ends;
+  return load<int64_t>(reinterpret_cast<const int32_t*>(&begins_before)) == -1;
+}
 
 /// What the pixels of a block's row show.
 template <typename T>
 struct Group {
-  double depth[kColumns];                     ///< kBeyond where nothing is shown
+  double depth[kColumns];                       ///< kBeyond where nothing is shown
   T u[kColumns], v[kColumns], shown[kColumns];  ///< shown: triangle + 1, or 0
 };
 
@@ -114,23 +114,25 @@ struct Batch {
 template <typename T>
 TT3D_HD int64_t choose(const int32_t* faces, const VertexBounds* points, const Sizes& s,
                        Band<T>& band, int64_t face, Batch<T>& batch) {
+  const Bounds first = {0, band.y_begin, 0, 0};
+  const Bounds last = {INT32_MAX, INT32_MAX, INT32_MAX, band.y_end};
   batch.count = 0;
   for (; face < s.faces && batch.count < kBatch; ++face) {
     const int32_t* corner = faces + 3 * face;
-    TriangleSetup t;
-    const VertexBounds& first = points[corner[0]];
-    const bool covers = set_bounds(first, points[corner[1]], points[corner[2]], t);
-    const Candidate candidate = {static_cast<int32_t>(face), t.x_begin, t.x_end,
-                                 std::max(t.y_begin, band.y_begin),
-                                 std::min(t.y_end, band.y_end)};
-    const bool drawn = covers & (candidate.y_begin < candidate.y_end);
-    const bool far = first.depth > band.middle;
+    const VertexBounds &p = points[corner[0]], &q = points[corner[1]], &r = points[corner[2]];
+    Bounds bounds = bounds_of(p, q, r);
+    bounds = bounds < first ? first : bounds;
+    bounds = bounds > last ? last : bounds;
+    Candidate candidate;
+    std::memcpy(&candidate.x_begin, &bounds, sizeof bounds);
+    candidate.face = static_cast<int32_t>(face);
+    const bool drawn = covers_any(bounds) & (p.in_front | q.in_front | r.in_front);
+    const bool far = p.depth > band.middle;
     batch.of[batch.count] = candidate;
     band.far[band.far_count] = candidate;
-    const Group<T>* group = band.groups.data() +
-                            (candidate.y_begin - band.y_begin) * band.stride +
+    const Group<T>* group = band.groups.data() + (candidate.y_begin - band.y_begin) * band.stride +
                             candidate.x_begin / kColumns;
-    for (int r = 0; r < 3; ++r) __builtin_prefetch(group + r * band.stride, 1);
+    for (int row = 0; row < 3; ++row) __builtin_prefetch(group + row * band.stride, 1);
     batch.count += drawn & !far;
     band.far_count += drawn & far;
   }
@@ -143,19 +145,6 @@ TT3D_HD int64_t choose_far(const Band<T>& band, int64_t i, Batch<T>& batch) {
   batch.count = static_cast<int>(std::min<int64_t>(kBatch, band.far_count - i));
   std::copy_n(band.far.get() + i, batch.count, batch.of);
   return i + batch.count;
-}
-
-/// Turns four rows of four numbers into four columns.
-template <typename T>
-TT3D_HD void transpose(Row<T> (&rows)[4]) {
-  const Row<T> ab_xy = __builtin_shufflevector(rows[0], rows[1], 0, 4, 1, 5);
-  const Row<T> ab_zw = __builtin_shufflevector(rows[0], rows[1], 2, 6, 3, 7);
-  const Row<T> cd_xy = __builtin_shufflevector(rows[2], rows[3], 0, 4, 1, 5);
-  const Row<T> cd_zw = __builtin_shufflevector(rows[2], rows[3], 2, 6, 3, 7);
-  rows[0] = __builtin_shufflevector(ab_xy, cd_xy, 0, 1, 4, 5);
-  rows[1] = __builtin_shufflevector(ab_xy, cd_xy, 2, 3, 6, 7);
-  rows[2] = __builtin_shufflevector(ab_zw, cd_zw, 0, 1, 4, 5);
-  rows[3] = __builtin_shufflevector(ab_zw, cd_zw, 2, 3, 6, 7);
 }
 
 /// Loads the vertices of four triangles from the i-th on, turning rows of vertices into the
@@ -208,31 +197,53 @@ struct Painter {
   };
   static constexpr Mask kPlace = {0, 1, 2, 3};
 
-  Band<T>& band;
+  // Of the band; copies, which what is drawn cannot change, stay in registers.
+  Group<T>* groups;
+  int64_t stride;
+  int y_begin;
+  const double *px, *py;
+
+  explicit Painter(Band<T>& band)
+      : groups(band.groups.data()),
+        stride(band.stride),
+        y_begin(band.y_begin),
+        px(band.px.data()),
+        py(band.py.data()) {}
 
   TT3D_HD static bool any(const Mask& mask) {
-    const auto either = __builtin_shufflevector(mask, mask, 0, 1) |
-                        __builtin_shufflevector(mask, mask, 2, 3);
+    const auto either =
+        __builtin_shufflevector(mask, mask, 0, 1) | __builtin_shufflevector(mask, mask, 2, 3);
     return (either[0] | either[1]) != 0;
+  }
+
+  /// A mask for numbers of T.
+  TT3D_HD static Row<WholeAs<T>> narrow(const Mask& mask) {
+    if constexpr (sizeof(T) == sizeof(double)) {
+      return mask;
+    } else {
+      typedef int32_t Halves __attribute__((vector_size(sizeof(Mask))));
+      const auto halves = reinterpret_cast<Halves>(mask);
+      return __builtin_shufflevector(halves, halves, 0, 2, 4, 6);
+    }
   }
 
   /// Writes the lanes of a mask.
   template <typename Number>
   TT3D_HD static void put(const Row<Number>& value, const Row<WholeAs<Number>>& mask, Number* to) {
-    typedef Row<WholeAs<Number>> Bits;
-    const Bits row = (mask & reinterpret_cast<const Bits&>(value)) | (~mask & load<Bits>(to));
+    const Row<Number> row = mask ? value : load<Row<Number>>(to);
     std::memcpy(to, &row, sizeof row);
   }
 
-  /// Takes from the lanes that a row hits those where an edge function is 0 and which lie outside,
-  /// and those at the depth of what is shown, unless the triangle's index is lower.
-  TT3D_HD static void settle_ties(const TriangleSetup& t, T number, const Values& at,
-                                  const Group<T>& group, Mask& hit) {
+  /// The lanes that a row hits without those where an edge function is 0 and which lie outside, and
+  /// without those at the depth of what is shown, unless the triangle's index is lower.
+  TT3D_HD static Mask settle_ties(const TriangleSetup& t, T number, const Values at,
+                                  const Group<T>& group, Mask hit) {
     for (int i = 0; i < kColumns; ++i) {
       const double e[3] = {at.e[0][i], at.e[1][i], at.e[2][i]};
       const bool behind = at.zw[i] == group.depth[i] && number > group.shown[i];
       if (behind || !inside(t, e)) hit[i] = 0;
     }
+    return hit;
   }
 
   /// Draws a triangle in a block, whose first row is `group`.
@@ -240,7 +251,7 @@ struct Painter {
                           Group<T>* group) const {
     Mask hit[kRows], some = {}, tied = {};
     for (int r = 0; r < kRows; ++r) {
-      const auto shown = load<Lanes>(group[r * band.stride].depth);
+      const auto shown = load<Lanes>(group[r * stride].depth);
       const Lanes smallest = least(at[r].e[0], at[r].e[1], at[r].e[2]);
       hit[r] = (smallest >= 0) & (at[r].zw >= -1) & (at[r].zw <= shown);
       some |= hit[r];
@@ -249,15 +260,15 @@ struct Painter {
     if (!any(some)) return;
     if (__builtin_expect(any(tied), 0)) {
       for (int r = 0; r < kRows; ++r) {
-        settle_ties(t, number, at[r], group[r * band.stride], hit[r]);
+        hit[r] = settle_ties(t, number, at[r], group[r * stride], hit[r]);
       }
     }
-    for (int r = 0; r < kRows; ++r) put_row(number, at[r], hit[r], group[r * band.stride]);
+    for (int r = 0; r < kRows; ++r) put_row(number, at[r], hit[r], group[r * stride]);
   }
 
   TT3D_HD static void put_row(T number, const Values& at, const Mask& hit, Group<T>& group) {
     const Lanes scale = 1 / (at.e[0] + at.e[1] + at.e[2]);
-    const auto lanes = __builtin_convertvector(hit, Row<WholeAs<T>>);
+    const auto lanes = narrow(hit);
     put(at.zw, hit, group.depth);
     put(__builtin_convertvector(at.e[0] * scale, Row<T>), lanes, group.u);
     put(__builtin_convertvector(at.e[1] * scale, Row<T>), lanes, group.v);
@@ -267,32 +278,30 @@ struct Painter {
   /// Of four columns or rows from `begin` on, the depth function's part of those in [first,last),
   /// infinity of others.
   TT3D_HD static Lanes within(const Lanes& part, int begin, int first, int last) {
-    const Mask place = kPlace + begin;
-    return (place >= first) & (place < last) ? part : Lanes{} + kInfinity;
+    return (kPlace > first - begin - 1) & (kPlace < last - begin) ? part : Lanes{} + kInfinity;
   }
   TT3D_HD Lanes depth_of_columns(const TriangleSetup& t, int x) const {
-    return within(t.depth.of_column(load<Lanes>(band.px.data() + x)), x, t.x_begin, t.x_end);
+    return within(t.depth.of_column(load<Lanes>(px + x)), x, t.x_begin, t.x_end);
   }
   TT3D_HD Lanes depth_of_rows(const TriangleSetup& t, int y) const {
-    return within(t.depth.of_row(load<Lanes>(band.py.data() + y - band.y_begin)), y, t.y_begin,
-                  t.y_end);
+    return within(t.depth.of_row(load<Lanes>(py + y - y_begin)), y, t.y_begin, t.y_end);
   }
   TT3D_HD Group<T>* group_at(int x, int y) const {
-    return band.groups.data() + (y - band.y_begin) * band.stride + x / kColumns;
+    return groups + (y - y_begin) * stride + static_cast<unsigned>(x) / kColumns;
   }
 
   /// Whether all that a triangle may cover lies behind what is shown.
   TT3D_HD bool is_hidden(const TriangleSetup& t) const {
     constexpr int kAtOnce = 2;  // groups: nearly always all
-    for (int x = t.x_begin / kColumns * kColumns; x < t.x_end; x += kAtOnce * kColumns) {
-      for (int y = t.y_begin; y < t.y_end; y += kColumns) {
+    for (int x = t.x_begin & -kColumns; x < t.x_end; x += kAtOnce * kColumns) {
+      for (int y = t.y_begin; y < t.y_end; y += kLanes) {
         const Group<T>* group = group_at(x, y);
         const Lanes row = depth_of_rows(t, y);
         Mask some = {};
         for (int i = 0; i < kAtOnce; ++i) {
           const Lanes column = depth_of_columns(t, x + i * kColumns);
-          for (int r = 0; r < kColumns; ++r) {
-            some |= column + row[r] <= load<Lanes>(group[r * band.stride + i].depth);
+          for (int r = 0; r < kLanes; ++r) {
+            some |= column + row[r] <= load<Lanes>(group[r * stride + i].depth);
           }
         }
         if (any(some)) return false;
@@ -305,21 +314,31 @@ struct Painter {
   /// whole groups: what one triangle writes, its neighbour reads next, and processors pass that on
   /// at once only where both are the same bytes.
   TT3D_HD void draw_triangle(const TriangleSetup& t, T number) const {
-    for (int x = t.x_begin / kColumns * kColumns; x < t.x_end; x += kColumns) {
-      const Lanes zw_of_column = depth_of_columns(t, x);
-      const auto px = load<Lanes>(band.px.data() + x);
-      for (int y = t.y_begin; y < t.y_end; y += kRows) {
-        const Lanes zw_of_row = depth_of_rows(t, y);
-        const auto py = load<Lanes>(band.py.data() + y - band.y_begin);
-        Values at[kRows];
-        for (int r = 0; r < kRows; ++r) at[r].zw = zw_of_column + zw_of_row[r];
-        for (int k = 0; k < 3; ++k) {
-          const Lanes column = t.edge[k].of_column(px), row = t.edge[k].of_row(py);
-          for (int r = 0; r < kRows; ++r) at[r].e[k] = column + row[r];
-        }
-        draw_block(t, number, at, group_at(x, y));
+    for (int x = t.x_begin & -kColumns; x < t.x_end; x += kColumns) {
+      Values column;
+      column.zw = depth_of_columns(t, x);
+      for (int k = 0; k < 3; ++k) column.e[k] = t.edge[k].of_column(load<Lanes>(px + x));
+      Group<T>* group = group_at(x, t.y_begin);
+      for (int y = t.y_begin; y < t.y_end; y += kLanes, group += kLanes * stride) {
+        Values row;
+        row.zw = depth_of_rows(t, y);
+        for (int k = 0; k < 3; ++k) row.e[k] = t.edge[k].of_row(load<Lanes>(py + y - y_begin));
+        draw_rows<0>(t, number, column, row, group);
+        if (y + kRows < t.y_end) draw_rows<kRows>(t, number, column, row, group);
       }
     }
+  }
+
+  /// The block whose first row is kFirst of those of which `row` has the functions' parts.
+  template <int kFirst>
+  TT3D_HD void draw_rows(const TriangleSetup& t, T number, const Values& column, const Values& row,
+                         Group<T>* group) const {
+    Values at[kRows];
+    for (int r = 0; r < kRows; ++r) {
+      at[r].zw = column.zw + row.zw[kFirst + r];
+      for (int k = 0; k < 3; ++k) at[r].e[k] = column.e[k] + row.e[k][kFirst + r];
+    }
+    draw_block(t, number, at, group + kFirst * stride);
   }
 
   /// far: nearer triangles hide most of these, so that depths are tested before edges.
@@ -338,7 +357,7 @@ struct Painter {
 template <typename T>
 TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* points,
                        const Sizes& s, Band<T>& band) {
-  const Painter<T> painter = {band};
+  const Painter<T> painter(band);
   Batch<T> batch;
   for (int64_t f = 0; f < s.faces;) {
     f = choose(faces, points, s, band, f, batch);
@@ -369,35 +388,6 @@ TT3D_HD void write_pixels(const Band<T>& band, T* rast) {
   }
 }
 
-/// Adds the gradients of pixels [first,last) of a view to its vertices' sums, in their order.
-/// Neighbouring pixels of one triangle are summed first: they load and store its vertices once.
-template <typename T>
-TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, int64_t first,
-                           int64_t last, T* sums) {
-  const int64_t offset = view * body.s.height * body.s.width;
-  const T* clip = body.clip + view * body.s.vertices * 4;
-  int64_t shown = -1;
-  ClipTriangle triangle = {};
-  TriangleRows rows;
-  for (int64_t y = first / body.s.width; y * body.s.width < last; ++y) {
-    const int64_t row = y * body.s.width, end = std::min(last - row, body.s.width);
-    const double py = pixel_y(y, body.s.height);
-    for (int64_t x = std::max<int64_t>(first - row, 0); x < end; ++x) {
-      const int64_t i = offset + row + x, face = body.face_at(i);
-      const double px = pixel_x(x, body.s.width);  // here, so that its division leaves the loop
-      if (face < 0) continue;
-      if (face != shown) {
-        if (shown >= 0) body.spread(shown, rows, sums);
-        triangle = load_triangle(clip, body.faces + 3 * face);
-        rows = {};
-        shown = face;
-      }
-      body.add_pixel(i, triangle, px, py, rows);
-    }
-  }
-  if (shown >= 0) body.spread(shown, rows, sums);
-}
-
 // target_clones needs plain functions.
 #define TT3D_RASTERIZE_LOOPS(T)                                                                 \
   TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, int64_t first, int64_t last,     \
@@ -410,11 +400,7 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T>& body, int64_t view, 
                                const Sizes& s, Band<T>& band) {                                 \
     draw_band(clip, faces, points, s, band);                                                    \
   }                                                                                             \
-  TT3D_CPU_LOOP void write_loop(const Band<T>& band, T* rast) { write_pixels(band, rast); }     \
-  TT3D_CPU_LOOP void spread_loop(const RasterizeBackwardPixel<T>& body, int64_t view,           \
-                                 int64_t first, int64_t last, T* sums) {                        \
-    spread_pixels(body, view, first, last, sums);                                               \
-  }
+  TT3D_CPU_LOOP void write_loop(const Band<T>& band, T* rast) { write_pixels(band, rast); }
 TT3D_RASTERIZE_LOOPS(float)
 TT3D_RASTERIZE_LOOPS(double)
 #undef TT3D_RASTERIZE_LOOPS
@@ -462,18 +448,7 @@ void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const S
   });
 }
 
-template <typename T>
-void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body) {
-  const auto add = [&](int64_t view, int64_t first, int64_t last, T* sums) {
-    spread_loop(body, view, first, last, sums);
-  };
-  scatter_in_parts(body.s.views, body.s.height * body.s.width, body.s.vertices, 4, body.grad_clip,
-                   add);
-}
-
 template void rasterize(const Cpu&, const float*, const int32_t*, float*, const Sizes&);
 template void rasterize(const Cpu&, const double*, const int32_t*, double*, const Sizes&);
-template void scatter(const Cpu&, const RasterizeBackwardPixel<float>&);
-template void scatter(const Cpu&, const RasterizeBackwardPixel<double>&);
 
 }  // namespace tt3d::raster

@@ -190,18 +190,33 @@ __device__ void spread_run(const RasterizeBackwardPixel<T>& body, int64_t i, boo
   if (__ballot_sync(~0U, face >= 0) == 0) return;
   const PixelPlace at = place_of(i, body.s);
   const int64_t vertex = at.view * body.s.vertices * 4;
-  TriangleRows rows;
+  const int32_t* triangle = body.faces + 3 * (face < 0 ? 0 : face);
+  FlatVertex<double> step = {};
+  double weight[3] = {};
   if (face >= 0) {
-    body.add_pixel(i, load_triangle(body.clip + vertex, body.faces + 3 * face),
-                   pixel_x(at.column, body.s.width), pixel_y(at.row, body.s.height), rows);
+    FlatVertex<double> corner[3];
+    for (int k = 0; k < 3; ++k) {
+      const ClipVertex v = load_vertex(body.clip + vertex, triangle[k]);
+      corner[k] = {v.x, v.y, v.w};
+    }
+    step = rasterize_backward(
+        corner, pixel_x(at.column, body.s.width), pixel_y(at.row, body.s.height),
+        static_cast<double>(body.grad_rast[4 * i]), static_cast<double>(body.grad_rast[4 * i + 1]));
+    weight[0] = static_cast<double>(body.rast[4 * i]);
+    weight[1] = static_cast<double>(body.rast[4 * i + 1]);
+    weight[2] = 1 - weight[0] - weight[1];
   }
   const Run run(face < 0 ? -1 : at.view * body.s.faces + face);
-  for (ClipRow& row : rows.corner) {
-    row.x = run.sum(static_cast<T>(row.x));
-    row.y = run.sum(static_cast<T>(row.y));
-    row.w = run.sum(static_cast<T>(row.w));
+  for (int k = 0; k < 3; ++k) {
+    const T x = run.sum(static_cast<T>(weight[k] * step.x));
+    const T y = run.sum(static_cast<T>(weight[k] * step.y));
+    const T w = run.sum(static_cast<T>(weight[k] * step.w));
+    if (face < 0 || !run.first) continue;
+    T* to = body.grad_clip + vertex + 4 * static_cast<int64_t>(triangle[k]);
+    accumulate(to, x);
+    accumulate(to + 1, y);
+    accumulate(to + 3, w);  // gradients of z are 0
   }
-  if (face >= 0 && run.first) body.spread(face, rows, body.grad_clip + vertex);
 }
 
 template <typename T>

@@ -150,8 +150,11 @@ TT3D_HD VertexBounds vertex_bounds(const ClipVertex& v, int64_t height, int64_t 
   const double inverse = 1 / v.w;
   const double x = (v.x * inverse + 1) * (0.5 * static_cast<double>(width)) - 0.5;
   const double y = (1 - v.y * inverse) * (0.5 * static_cast<double>(height)) - 0.5;
-  return {pixel_from(x - kMargin, width), pixel_from(y - kMargin, height),
-          pixel_past(x + kMargin, width), pixel_past(y + kMargin, height), true,
+  return {pixel_from(x - kMargin, width),
+          pixel_from(y - kMargin, height),
+          pixel_past(x + kMargin, width),
+          pixel_past(y + kMargin, height),
+          true,
           static_cast<float>(v.z * inverse)};
 }
 
@@ -243,53 +246,30 @@ TT3D_HD bool hides(double depth, int64_t face, double shown_depth, int64_t shown
   return depth < shown_depth || (depth == shown_depth && face < shown_face);
 }
 
-/// Four numbers of a vertex in clip space.
-#ifdef __CUDACC__
-struct ClipRow {
-  double x, y, z, w;
+/// A vertex in clip space without its depth. (Value: see pixel_x.)
+template <typename Value>
+struct FlatVertex {
+  Value x, y, w;
 };
-TT3D_HD ClipRow operator+(const ClipRow& p, const ClipRow& q) {
-  return {p.x + q.x, p.y + q.y, p.z + q.z, p.w + q.w};
-}
-TT3D_HD ClipRow operator*(double s, const ClipRow& p) {
-  return {s * p.x, s * p.y, s * p.z, s * p.w};
-}
-template <typename T>
-TT3D_HD void accumulate_row(T* sum, const ClipRow& row) {
-  accumulate(sum, static_cast<T>(row.x));
-  accumulate(sum + 1, static_cast<T>(row.y));
-  accumulate(sum + 3, static_cast<T>(row.w));  // gradients of z are 0
-}
-#else
-typedef double ClipRow __attribute__((vector_size(4 * sizeof(double))));
-template <typename T>
-TT3D_HD void accumulate_row(T* sum, const ClipRow& row) {
-  typedef T Row __attribute__((vector_size(4 * sizeof(T)), aligned(sizeof(T)), may_alias));
-  *reinterpret_cast<Row*>(sum) += __builtin_convertvector(row, Row);
-}
-#endif
 
 /// What a pixel's gradient adds to a triangle's vertices is a row times the vertex's weight u, v or
 /// 1 - u - v: where sum_k u_k p_k is along (P,1), moving vertex k by d is moving the sum by u_k d.
 /// With p' = p.xy - P p.w and differences taken from vertex 2, u = cross(p1', p2') / cross(d0, d1),
-/// and the row is (gx, gy, 0, -P.(gx,gy)), which does not change when P moves along its own ray.
-TT3D_HD void rasterize_backward(const ClipTriangle& t, double px, double py, double grad_u,
-                                double grad_v, ClipRow& row) {
-  const ClipVertex &p = t.corner[0], &q = t.corner[1], &r = t.corner[2];
-  const double w0 = p.w - r.w, w1 = q.w - r.w;
-  const double x0 = p.x - r.x - px * w0, y0 = p.y - r.y - py * w0;
-  const double x1 = q.x - r.x - px * w1, y1 = q.y - r.y - py * w1;
-  const double area = x0 * y1 - x1 * y0;
-  const double inverse = area == 0 ? 0 : 1 / area;
-  const double gx = (grad_v * y0 - grad_u * y1) * inverse;
-  const double gy = (grad_u * x1 - grad_v * x0) * inverse;
-  row = ClipRow{gx, gy, 0, -(px * gx + py * gy)};
+/// and the row is (gx, gy, -P.(gx,gy)), which does not change when P moves along its own ray.
+template <typename Value>
+TT3D_HD FlatVertex<Value> rasterize_backward(const FlatVertex<Value> corner[3], const Value& px,
+                                             const Value& py, const Value& grad_u,
+                                             const Value& grad_v) {
+  const FlatVertex<Value>&p = corner[0], &q = corner[1], &r = corner[2];
+  const Value w0 = p.w - r.w, w1 = q.w - r.w;
+  const Value x0 = p.x - r.x - px * w0, y0 = p.y - r.y - py * w0;
+  const Value x1 = q.x - r.x - px * w1, y1 = q.y - r.y - py * w1;
+  const Value area = x0 * y1 - x1 * y0;
+  const Value inverse = area == 0.0 ? Value{} : 1.0 / area;
+  const Value gx = (grad_v * y0 - grad_u * y1) * inverse;
+  const Value gy = (grad_u * x1 - grad_v * x0) * inverse;
+  return {gx, gy, -(px * gx + py * gy)};
 }
-
-/// The gradients of a triangle's vertices.
-struct TriangleRows {
-  ClipRow corner[3] = {};
-};
 
 /// Body of rasterize's backward pass: pixel i adds to its triangle's vertices.
 template <typename T>
@@ -304,22 +284,6 @@ struct RasterizeBackwardPixel {
   [[nodiscard]] TT3D_HD int64_t face_at(int64_t i) const {
     if (grad_rast[4 * i] == 0 && grad_rast[4 * i + 1] == 0) return -1;
     return static_cast<int64_t>(rast[4 * i + 3]) - 1;
-  }
-  /// Adds what pixel i, at (px,py), gives to the triangle that it shows.
-  TT3D_HD void add_pixel(int64_t i, const ClipTriangle& triangle, double px, double py,
-                         TriangleRows& rows) const {
-    ClipRow row;
-    rasterize_backward(triangle, px, py, static_cast<double>(grad_rast[4 * i]),
-                       static_cast<double>(grad_rast[4 * i + 1]), row);
-    const auto u = static_cast<double>(rast[4 * i]), v = static_cast<double>(rast[4 * i + 1]);
-    const double weight[3] = {u, v, 1 - u - v};
-    for (int k = 0; k < 3; ++k) rows.corner[k] = rows.corner[k] + weight[k] * row;
-  }
-  TT3D_HD void spread(int64_t face, const TriangleRows& rows, T* sums) const {
-    const int32_t* corner = faces + 3 * face;
-    for (int k = 0; k < 3; ++k) {
-      accumulate_row(sums + static_cast<int64_t>(corner[k]) * 4, rows.corner[k]);
-    }
   }
 };
 

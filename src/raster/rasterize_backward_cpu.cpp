@@ -1,0 +1,111 @@
+#include "pixels_cpu.h"
+#include "raster_kernels.h"
+#include "rows_cpu.h"
+
+namespace tt3d::raster {
+namespace {
+
+template <typename T>
+TT3D_HD bool any(const Row<T>& mask) {
+  uint64_t words[sizeof mask / sizeof(uint64_t)], all = 0;
+  std::memcpy(words, &mask, sizeof mask);
+  for (const uint64_t word : words) all |= word;
+  return all != 0;
+}
+
+/// Of up to four pixels from `from` on their four numbers each, a lane a pixel.
+template <typename T>
+TT3D_HD void load_pixels(const T* from, int count, Row<T> (&rows)[kLanes]) {
+  for (int j = 0; j < kLanes; ++j) rows[j] = load<Row<T>>(from + 4 * std::min(j, count - 1));
+  transpose<T>(rows);
+}
+
+/// Adds what `count` pixels beside each other, from pixel i on, give to the vertices of their
+/// triangles. A lane is a pixel.
+template <typename T>
+TT3D_HD void spread_row(const RasterizeBackwardPixel<T>& body, const T* clip, int64_t i, int count,
+                        const Row<double>& px, double py, const PartSums<T>& sums) {
+  typedef Row<WholeAs<T>> Mask;
+  constexpr Mask kPlace = {0, 1, 2, 3};
+  Row<T> grad[kLanes], shown[kLanes];
+  load_pixels(body.grad_rast + 4 * i, count, grad);
+  load_pixels(body.rast + 4 * i, count, shown);
+  const Mask active = (kPlace < count) & (shown[3] != 0) & ((grad[0] != 0) | (grad[1] != 0));
+  if (!any<WholeAs<T>>(active)) return;
+  const Mask face = (__builtin_convertvector(shown[3], Mask) - 1) & active;
+
+  FlatVertex<Row<double>> corner[3];
+  int32_t vertex[3][kLanes];
+  for (int k = 0; k < 3; ++k) {
+    for (int j = 0; j < kLanes; ++j) {
+      vertex[k][j] = body.faces[3 * static_cast<int64_t>(face[j]) + k];
+    }
+    corner[k] = load_vertices(clip, vertex[k]);
+  }
+  const auto [x, y, w] = rasterize_backward<Row<double>>(corner, px, Row<double>{} + py,
+                                                         doubles<T>(grad[0]), doubles<T>(grad[1]));
+  const auto wide = __builtin_convertvector(active, Row<int64_t>);
+  const auto masked = [&](const Row<double>& v) TT3D_INLINE { return wide ? v : Row<double>{}; };
+  const Row<double> step[3] = {masked(x), masked(y), masked(w)};
+  const Row<double> u = doubles<T>(shown[0]), v = doubles<T>(shown[1]);
+  const Row<double> weight[3] = {u, v, 1 - u - v};
+  for (int j = 0; j < kLanes; ++j) sums.touch(vertex[0][j], vertex[1][j], vertex[2][j]);
+  for (int k = 0; k < 3; ++k) {
+    const auto share = [&](int axis) TT3D_INLINE {
+      return __builtin_convertvector(weight[k] * step[axis], Row<T>);
+    };
+    Row<T> rows[kLanes] = {share(0), share(1), {}, share(2)};  // gradients of z are 0
+    transpose<T>(rows);
+    for (int j = 0; j < kLanes; ++j) {
+      add_row<T>(sums.rows + 4 * static_cast<int64_t>(vertex[k][j]), rows[j]);
+    }
+  }
+}
+
+/// Adds the gradients of pixels [first,last) of a view to its vertices' sums, in their order.
+/// (Copies of the arguments, which what is written cannot change, stay in registers.)
+template <typename T>
+TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T> body, int64_t view, int64_t first,
+                           int64_t last, const PartSums<T> sums) {
+  constexpr Row<double> kPlace = {0, 1, 2, 3};
+  const int64_t width = body.s.width, offset = view * body.s.height * width;
+  const T* clip = body.clip + view * body.s.vertices * 4;
+  for (int64_t y = first / width; y * width < last; ++y) {
+    const int64_t row = y * width, end = std::min(last - row, width);
+    const double py = pixel_y(y, body.s.height);
+    int64_t x = std::max<int64_t>(first - row, 0);
+    for (; x + kLanes <= end; x += kLanes) {
+      const Row<double> px = pixel_x(static_cast<double>(x) + kPlace, width);
+      spread_row(body, clip, offset + row + x, kLanes, px, py, sums);
+    }
+    if (x == end) continue;
+    const Row<double> px = pixel_x(static_cast<double>(x) + kPlace, width);
+    spread_row(body, clip, offset + row + x, static_cast<int>(end - x), px, py, sums);
+  }
+}
+
+// target_clones needs plain functions.
+#define TT3D_SPREAD_LOOP(T)                                                              \
+  TT3D_CPU_LOOP void spread_loop(const RasterizeBackwardPixel<T>& body, int64_t view,    \
+                                 int64_t first, int64_t last, const PartSums<T>& sums) { \
+    spread_pixels(body, view, first, last, sums);                                        \
+  }
+TT3D_SPREAD_LOOP(float)
+TT3D_SPREAD_LOOP(double)
+#undef TT3D_SPREAD_LOOP
+
+}  // namespace
+
+template <typename T>
+void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body) {
+  const auto add = [&](int64_t view, int64_t first, int64_t last, const PartSums<T>& sums) {
+    spread_loop(body, view, first, last, sums);
+  };
+  scatter_in_parts(body.s.views, body.s.height * body.s.width, {body.s.vertices, 4, 4},
+                   body.grad_clip, add);
+}
+
+template void scatter(const Cpu&, const RasterizeBackwardPixel<float>&);
+template void scatter(const Cpu&, const RasterizeBackwardPixel<double>&);
+
+}  // namespace tt3d::raster

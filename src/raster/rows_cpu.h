@@ -1,0 +1,70 @@
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+#include <type_traits>
+
+#include "rasterize_math.h"
+
+/// Vectors of four numbers, for loops that the compiler does not turn into vectors by itself. They
+/// fill AVX2 with doubles, and hold a vertex in clip space or a pixel of rast. Passed to inlined
+/// functions alone, so that how they are passed does not matter.
+namespace tt3d::raster {
+
+constexpr int kLanes = 4;
+
+template <typename T>
+struct RowOf {
+  typedef T Type __attribute__((vector_size(kLanes * sizeof(T))));
+};
+template <typename T>
+using Row = typename RowOf<T>::Type;
+
+/// Whole numbers of a number's size.
+template <typename T>
+using WholeAs = std::conditional_t<sizeof(T) == sizeof(int32_t), int32_t, int64_t>;
+
+template <typename Vector, typename T>
+TT3D_HD Vector load(const T* from) {
+  Vector v;
+  std::memcpy(&v, from, sizeof v);
+  return v;
+}
+
+/// Adds a vector to four numbers.
+template <typename T>
+TT3D_HD void add_row(T* to, const Row<T>& row) {
+  const Row<T> sum = load<Row<T>>(to) + row;
+  std::memcpy(to, &sum, sizeof sum);
+}
+
+/// Turns four rows of four numbers into four columns.
+template <typename T>
+TT3D_HD void transpose(Row<T> (&rows)[4]) {
+  const Row<T> ab_xy = __builtin_shufflevector(rows[0], rows[1], 0, 4, 1, 5);
+  const Row<T> ab_zw = __builtin_shufflevector(rows[0], rows[1], 2, 6, 3, 7);
+  const Row<T> cd_xy = __builtin_shufflevector(rows[2], rows[3], 0, 4, 1, 5);
+  const Row<T> cd_zw = __builtin_shufflevector(rows[2], rows[3], 2, 6, 3, 7);
+  rows[0] = __builtin_shufflevector(ab_xy, cd_xy, 0, 1, 4, 5);
+  rows[1] = __builtin_shufflevector(ab_xy, cd_xy, 2, 3, 6, 7);
+  rows[2] = __builtin_shufflevector(ab_zw, cd_zw, 0, 1, 4, 5);
+  rows[3] = __builtin_shufflevector(ab_zw, cd_zw, 2, 3, 6, 7);
+}
+
+template <typename T>
+TT3D_HD Row<double> doubles(const Row<T>& v) {
+  return __builtin_convertvector(v, Row<double>);
+}
+
+/// Four vertices in clip space, a lane each.
+template <typename T>
+TT3D_HD FlatVertex<Row<double>> load_vertices(const T* clip, const int32_t (&vertex)[kLanes]) {
+  Row<T> rows[kLanes];
+  for (int j = 0; j < kLanes; ++j) {
+    rows[j] = load<Row<T>>(clip + 4 * static_cast<int64_t>(vertex[j]));
+  }
+  transpose<T>(rows);
+  return {doubles<T>(rows[0]), doubles<T>(rows[1]), doubles<T>(rows[3])};
+}
+
+}  // namespace tt3d::raster
