@@ -8,6 +8,9 @@ namespace {
 
 constexpr int64_t kChunk = 8192;
 constexpr int64_t kSlopeChunk = 1024;  ///< its sums stay in the first cache and on the stack
+/// Points whose entries are found first, in vectors: then nothing that is loaded or added waits for
+/// an address, and the memory is asked for many at a time.
+constexpr int64_t kBlock = 64;
 
 template <typename T, int F, bool kDense>
 TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table, T* __restrict out,
@@ -59,13 +62,11 @@ TT3D_HD void scatter_runs(const T* __restrict points, const T* __restrict grad_o
   add_cell<T, F>(held, sums, grad_table, level);
 }
 
-/// Where they are fine, each point has its own. Entries and weights of a block are found first, in
-/// vectors: then no addition waits for an address, and the memory is asked for many at a time.
+/// Where they are fine, each point has its own.
 template <typename T, int F>
 TT3D_HD void scatter_blocks(const T* __restrict points, const T* __restrict grad_out,
                             T* __restrict grad_table, int64_t count, HashLevel level) {
   typedef T Numbers __attribute__((vector_size(sizeof(T) * F), aligned(sizeof(T)), may_alias));
-  constexpr int64_t kBlock = 64;
   level.dense = false;
   uint32_t entry[8][kBlock];
   T weight[8][kBlock];
@@ -99,13 +100,35 @@ TT3D_HD void slope_range(const T* __restrict points, const T* __restrict table,
                          int64_t end, int64_t count, HashLevel level) {
   level.dense = kDense;
   const T stretch = stretch_of<T>(level);
+  uint32_t entry[8][kBlock];
+  T fraction[3][kBlock], value[8][kBlock];
+  for (int64_t first = begin; first < end; first += kBlock) {
+    const int64_t size = std::min(kBlock, end - first);
 #pragma GCC ivdep
-  for (int64_t i = begin; i < end; ++i) {
-    T g[F], sum[3];
-    for (int f = 0; f < F; ++f) g[f] = grad_out[f * count + i];
-    slope_of_point<T, F>(points + 3 * i, table, g, level, sum);
-    for (int axis = 0; axis < 3; ++axis)
-      total[axis * kSlopeChunk + i - begin] += sum[axis] * stretch;
+    for (int64_t i = 0; i < size; ++i) {
+      uint32_t cell[3];
+      for (int k = 0; k < 3; ++k) {
+        locate(points[3 * (first + i) + k], level, cell[k], fraction[k][i]);
+      }
+      for (int k = 0; k < 8; ++k) entry[k][i] = corner_entry(k, cell, level);
+    }
+    for (int k = 0; k < 8; ++k) {
+#pragma GCC ivdep
+      for (int64_t i = 0; i < size; ++i) {
+        T g[F];
+        for (int f = 0; f < F; ++f) g[f] = grad_out[f * count + first + i];
+        value[k][i] = dot_entry<T, F>(table, entry[k][i], g);
+      }
+    }
+    T* sums = total + first - begin;
+#pragma GCC ivdep
+    for (int64_t i = 0; i < size; ++i) {
+      T v[8], sum[3];
+      for (int k = 0; k < 8; ++k) v[k] = value[k][i];
+      const T at[3] = {fraction[0][i], fraction[1][i], fraction[2][i]};
+      slope_of_cell(v, at, sum);
+      for (int axis = 0; axis < 3; ++axis) sums[axis * kSlopeChunk + i] += sum[axis] * stretch;
+    }
   }
 }
 

@@ -253,15 +253,10 @@ struct HashScatterItem {
   }
 };
 
-/// Gradient of encode_point with respect to the position inside the cell, for grad[F]: the slopes
-/// of the trilinear interpolation, taken along x, then y, then z, so that each is used again.
-template <typename T, int F>
-TT3D_HD void slope_of_point(const T* x, const T* table, const T grad[F], const HashLevel& level,
-                            T sum[3]) {
-  uint32_t cell[3];
-  T fraction[3], v[8];
-  for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);
-  for (int k = 0; k < 8; ++k) v[k] = dot_entry<T, F>(table, corner_entry(k, cell, level), grad);
+/// Slopes of the trilinear interpolation of a cell's eight numbers with respect to the position
+/// inside, taken along x, then y, then z, so that each is used again.
+template <typename T>
+TT3D_HD void slope_of_cell(const T v[8], const T fraction[3], T sum[3]) {
   T along_x[4], at_x[4];  // of the cell's four edges along x
   for (int k = 0; k < 4; ++k) {
     along_x[k] = v[2 * k + 1] - v[2 * k];
@@ -276,6 +271,17 @@ TT3D_HD void slope_of_point(const T* x, const T* table, const T grad[F], const H
   sum[0] = slope_x[0] + (slope_x[1] - slope_x[0]) * fraction[2];
   sum[1] = along_y[0] + (along_y[1] - along_y[0]) * fraction[2];
   sum[2] = at_y[1] - at_y[0];
+}
+
+/// Gradient of encode_point with respect to the position inside the cell, for grad[F].
+template <typename T, int F>
+TT3D_HD void slope_of_point(const T* x, const T* table, const T grad[F], const HashLevel& level,
+                            T sum[3]) {
+  uint32_t cell[3];
+  T fraction[3], v[8];
+  for (int k = 0; k < 3; ++k) locate(x[k], level, cell[k], fraction[k]);
+  for (int k = 0; k < 8; ++k) v[k] = dot_entry<T, F>(table, corner_entry(k, cell, level), grad);
+  slope_of_cell(v, fraction, sum);
 }
 
 /// How far a position inside a level's cell moves with the point.
