@@ -8,19 +8,58 @@ namespace {
 
 constexpr int64_t kChunk = 8192;
 constexpr int64_t kSlopeChunk = 1024;  ///< its sums stay in the first cache and on the stack
-/// Points whose entries are found first, in vectors: then nothing that is loaded or added waits for
-/// an address, and the memory is asked for many at a time.
-constexpr int64_t kBlock = 64;
+
+/// The cells of a block of points. Their entries are found first, in vectors: then nothing that is
+/// loaded or added waits for an address, and the memory is asked for many at a time.
+template <typename T>
+struct Cells {
+  static constexpr int64_t kCount = 64;
+  uint32_t entry[8][kCount];
+  T fraction[3][kCount], weight[8][kCount];
+
+  TT3D_HD void find(const T* __restrict points, int64_t count, const HashLevel& level) {
+#pragma GCC ivdep
+    for (int64_t i = 0; i < count; ++i) {
+      uint32_t cell[3];
+      for (int k = 0; k < 3; ++k) locate(points[3 * i + k], level, cell[k], fraction[k][i]);
+      for (int k = 0; k < 8; ++k) entry[k][i] = corner_entry(k, cell, level);
+    }
+  }
+  /// Asks for the entries' memory, all at once.
+  template <int F>
+  TT3D_HD void fetch(const T* table, int64_t count) const {
+    for (const auto& corner : entry) {
+      for (int64_t i = 0; i < count; ++i) __builtin_prefetch(table + int64_t{corner[i]} * F);
+    }
+  }
+  TT3D_HD void weigh(int64_t count) {
+#pragma GCC ivdep
+    for (int64_t i = 0; i < count; ++i) {
+      const T at[3] = {fraction[0][i], fraction[1][i], fraction[2][i]};
+      for (int k = 0; k < 8; ++k) weight[k][i] = corner_weight(k, at);
+    }
+  }
+};
 
 template <typename T, int F, bool kDense>
 TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table, T* __restrict out,
                           int64_t begin, int64_t end, int64_t count, HashLevel level) {
   level.dense = kDense;
+  Cells<T> cells;
+  for (int64_t first = begin; first < end; first += cells.kCount) {
+    const int64_t size = std::min(cells.kCount, end - first);
+    cells.find(points + 3 * first, size, level);
+    cells.template fetch<F>(table, size);
+    cells.weigh(size);
+    T sums[F][cells.kCount] = {};
+    for (int k = 0; k < 8; ++k) {
 #pragma GCC ivdep
-  for (int64_t i = begin; i < end; ++i) {
-    T sum[F];
-    encode_point<T, F>(points + 3 * i, table, level, sum);
-    for (int f = 0; f < F; ++f) out[f * count + i] = sum[f];
+      for (int64_t i = 0; i < size; ++i) {
+        const auto e = load_entry<T, F>(table, cells.entry[k][i]);
+        for (int f = 0; f < F; ++f) sums[f][i] += cells.weight[k][i] * e.value[f];
+      }
+    }
+    for (int f = 0; f < F; ++f) std::copy_n(sums[f], size, out + f * count + first);
   }
 }
 
@@ -68,26 +107,18 @@ TT3D_HD void scatter_blocks(const T* __restrict points, const T* __restrict grad
                             T* __restrict grad_table, int64_t count, HashLevel level) {
   typedef T Numbers __attribute__((vector_size(sizeof(T) * F), aligned(sizeof(T)), may_alias));
   level.dense = false;
-  uint32_t entry[8][kBlock];
-  T weight[8][kBlock];
-  for (int64_t begin = 0; begin < count; begin += kBlock) {
-    const int64_t size = std::min(kBlock, count - begin);
-#pragma GCC ivdep
-    for (int64_t i = 0; i < size; ++i) {
-      uint32_t cell[3];
-      T fraction[3];
-      for (int k = 0; k < 3; ++k) locate(points[3 * (begin + i) + k], level, cell[k], fraction[k]);
-      for (int k = 0; k < 8; ++k) {
-        entry[k][i] = corner_entry(k, cell, level);
-        weight[k][i] = corner_weight(k, fraction);
-      }
-    }
+  Cells<T> cells;
+  for (int64_t first = 0; first < count; first += cells.kCount) {
+    const int64_t size = std::min(cells.kCount, count - first);
+    cells.find(points + 3 * first, size, level);
+    cells.template fetch<F>(grad_table, size);
+    cells.weigh(size);
     for (int64_t i = 0; i < size; ++i) {
       Numbers g;
-      for (int f = 0; f < F; ++f) g[f] = grad_out[f * count + begin + i];
+      for (int f = 0; f < F; ++f) g[f] = grad_out[f * count + first + i];
       for (int k = 0; k < 8; ++k) {
         auto* numbers = reinterpret_cast<Numbers*>(grad_table);
-        numbers[static_cast<int32_t>(entry[k][i])] += weight[k][i] * g;
+        numbers[static_cast<int32_t>(cells.entry[k][i])] += cells.weight[k][i] * g;
       }
     }
   }
@@ -100,24 +131,18 @@ TT3D_HD void slope_range(const T* __restrict points, const T* __restrict table,
                          int64_t end, int64_t count, HashLevel level) {
   level.dense = kDense;
   const T stretch = stretch_of<T>(level);
-  uint32_t entry[8][kBlock];
-  T fraction[3][kBlock], value[8][kBlock];
-  for (int64_t first = begin; first < end; first += kBlock) {
-    const int64_t size = std::min(kBlock, end - first);
-#pragma GCC ivdep
-    for (int64_t i = 0; i < size; ++i) {
-      uint32_t cell[3];
-      for (int k = 0; k < 3; ++k) {
-        locate(points[3 * (first + i) + k], level, cell[k], fraction[k][i]);
-      }
-      for (int k = 0; k < 8; ++k) entry[k][i] = corner_entry(k, cell, level);
-    }
+  Cells<T> cells;
+  for (int64_t first = begin; first < end; first += cells.kCount) {
+    const int64_t size = std::min(cells.kCount, end - first);
+    cells.find(points + 3 * first, size, level);
+    cells.template fetch<F>(table, size);
+    T value[8][cells.kCount];
     for (int k = 0; k < 8; ++k) {
 #pragma GCC ivdep
       for (int64_t i = 0; i < size; ++i) {
         T g[F];
         for (int f = 0; f < F; ++f) g[f] = grad_out[f * count + first + i];
-        value[k][i] = dot_entry<T, F>(table, entry[k][i], g);
+        value[k][i] = dot_entry<T, F>(table, cells.entry[k][i], g);
       }
     }
     T* sums = total + first - begin;
@@ -125,7 +150,7 @@ TT3D_HD void slope_range(const T* __restrict points, const T* __restrict table,
     for (int64_t i = 0; i < size; ++i) {
       T v[8], sum[3];
       for (int k = 0; k < 8; ++k) v[k] = value[k][i];
-      const T at[3] = {fraction[0][i], fraction[1][i], fraction[2][i]};
+      const T at[3] = {cells.fraction[0][i], cells.fraction[1][i], cells.fraction[2][i]};
       slope_of_cell(v, at, sum);
       for (int axis = 0; axis < 3; ++axis) sums[axis * kSlopeChunk + i] += sum[axis] * stretch;
     }
