@@ -140,29 +140,44 @@ void roof_bandwidth(benchmark::State& state) {
 }
 BENCHMARK(roof_bandwidth)->Unit(benchmark::kMillisecond)->UseRealTime();
 
-typedef float Lanes __attribute__((vector_size(64)));
+template <int kBytes>
+struct LanesOf {
+  typedef float Type __attribute__((vector_size(kBytes)));
+};
 
-/// Independent multiply-adds in registers; returns something that depends on all of them.
-TT3D_CPU_LOOP float multiply_add_rounds(int64_t rounds) {
-  Lanes sums[8] = {};
-  const Lanes factor = sums[0] + 0.999F, term = sums[0] + 0.001F;
-  for (int64_t i = 0; i < rounds; ++i) {
+/// `count` independent multiply-adds in vectors of kBytes, twelve at a time, which hide each other's
+/// latency and fit into the registers; returns something that depends on all of them. (They begin
+/// with different numbers, or the compiler would see that all are one.)
+template <int kBytes>
+TT3D_HD float multiply_adds(int64_t count) {
+  using Lanes = typename LanesOf<kBytes>::Type;
+  constexpr int kChains = 12, kLanes = kBytes / sizeof(float);
+  Lanes sums[kChains];
+  for (int k = 0; k < kChains; ++k) sums[k] = Lanes{} + 0.1F * static_cast<float>(k);
+  const Lanes factor = Lanes{} + 0.999F, term = Lanes{} + 0.001F;
+  for (int64_t i = 0; i < count; i += kChains * kLanes) {
     for (Lanes& sum : sums) sum = sum * factor + term;
   }
-  Lanes all = sums[0];
-  for (int k = 1; k < 8; ++k) all += sums[k];
-  return all[0];
+  Lanes all = {};
+  for (const Lanes& sum : sums) all += sum;
+  float total = 0;
+  for (int k = 0; k < kLanes; ++k) total += all[k];
+  return total;
 }
+#define TT3D_ROOF_LOOP(TARGET, BYTES, T) \
+  TARGET T multiply_add_loop(int64_t count) { return multiply_adds<BYTES>(count); }
+TT3D_FOR_EACH_CPU(TT3D_ROOF_LOOP, float)
+#undef TT3D_ROOF_LOOP
 
 void roof_multiply_adds(benchmark::State& state) {
-  constexpr int64_t kRounds = 1 << 20;
+  constexpr int64_t kCount = 12 << 24;
   const int64_t threads = at::get_num_threads();
   for (auto _ : state) {
     at::parallel_for(0, threads, 1, [](int64_t first, int64_t last) {
-      for (int64_t i = first; i < last; ++i) benchmark::DoNotOptimize(multiply_add_rounds(kRounds));
+      for (int64_t i = first; i < last; ++i) benchmark::DoNotOptimize(multiply_add_loop(kCount));
     });
   }
-  state.SetItemsProcessed(state.iterations() * threads * kRounds * 8 * 16);
+  state.SetItemsProcessed(state.iterations() * threads * kCount);
 }
 BENCHMARK(roof_multiply_adds)->Unit(benchmark::kMillisecond)->UseRealTime();
 
