@@ -145,9 +145,9 @@ struct LanesOf {
   typedef float Type __attribute__((vector_size(kBytes)));
 };
 
-/// `count` independent multiply-adds in vectors of kBytes, twelve at a time, which hide each other's
-/// latency and fit into the registers; returns something that depends on all of them. (They begin
-/// with different numbers, or the compiler would see that all are one.)
+/// `count` independent multiply-adds in vectors of kBytes, twelve at a time, which hide each
+/// other's latency and fit into the registers; returns something that depends on all of them. (They
+/// begin with different numbers, or the compiler would see that all are one.)
 template <int kBytes>
 TT3D_HD float multiply_adds(int64_t count) {
   using Lanes = typename LanesOf<kBytes>::Type;
