@@ -5,14 +5,6 @@
 namespace tt3d::raster {
 namespace {
 
-template <typename T>
-TT3D_HD bool any(const Row<T>& mask) {
-  uint64_t words[sizeof mask / sizeof(uint64_t)], all = 0;
-  std::memcpy(words, &mask, sizeof mask);
-  for (const uint64_t word : words) all |= word;
-  return all != 0;
-}
-
 /// Of up to four pixels from `from` on their four numbers each, a lane a pixel.
 template <typename T>
 TT3D_HD void load_pixels(const T* from, int count, Row<T> (&rows)[kLanes]) {
@@ -31,7 +23,7 @@ TT3D_HD void spread_row(const RasterizeBackwardPixel<T>& body, const T* clip, in
   load_pixels(body.grad_rast + 4 * i, count, grad);
   load_pixels(body.rast + 4 * i, count, shown);
   const Mask active = (kPlace < count) & (shown[3] != 0) & ((grad[0] != 0) | (grad[1] != 0));
-  if (!any<WholeAs<T>>(active)) return;
+  if (!any(active)) return;
   const Mask face = (__builtin_convertvector(shown[3], Mask) - 1) & active;
 
   FlatVertex<Row<double>> corner[3];

@@ -210,12 +210,6 @@ struct Painter {
         px(band.px.data()),
         py(band.py.data()) {}
 
-  TT3D_HD static bool any(const Mask& mask) {
-    const auto either =
-        __builtin_shufflevector(mask, mask, 0, 1) | __builtin_shufflevector(mask, mask, 2, 3);
-    return (either[0] | either[1]) != 0;
-  }
-
   /// A mask for numbers of T.
   TT3D_HD static Row<WholeAs<T>> narrow(const Mask& mask) {
     if constexpr (sizeof(T) == sizeof(double)) {

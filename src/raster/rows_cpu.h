@@ -31,6 +31,20 @@ TT3D_HD Vector load(const T* from) {
   return v;
 }
 
+/// Whether any lane of a mask is set.
+template <typename Mask>
+TT3D_HD bool any(const Mask& mask) {
+  typedef int64_t Pair __attribute__((vector_size(2 * sizeof(int64_t))));
+  Pair either;
+  if constexpr (sizeof(Mask) == sizeof(Pair)) {
+    either = reinterpret_cast<Pair>(mask);
+  } else {
+    static_assert(sizeof(Mask) == 2 * sizeof(Pair));
+    either = __builtin_shufflevector(mask, mask, 0, 1) | __builtin_shufflevector(mask, mask, 2, 3);
+  }
+  return (either[0] | either[1]) != 0;
+}
+
 /// Adds a vector to four numbers.
 template <typename T>
 TT3D_HD void add_row(T* to, const Row<T>& row) {

@@ -136,6 +136,20 @@ TEST(Rasterize, NearerTriangleWinsWhateverTheOrder) {
   EXPECT_EQ((a.select(-1, 3) == 1).sum().item<int64_t>(), 0);
 }
 
+TEST(Rasterize, LowerIndexWinsAtEqualDepthWhicheverIsDrawnFirst) {
+  // One triangle twice; its depths have exact sums. Far triangles are drawn after near ones, and
+  // the first vertex decides which a triangle is: here (a,b,c) is near and (b,c,a) far.
+  const at::Tensor clip = at::tensor({-1.0F, -1.0F, -0.5F, 1.0F,   //
+                                      1.0F, -1.0F, 0.5F, 1.0F,     //
+                                      -1.0F, 1.0F, -0.5F, 1.0F})
+                              .view({1, 3, 4});
+  for (const auto& faces : {faces_of({{1, 2, 0}, {0, 1, 2}}), faces_of({{0, 1, 2}, {1, 2, 0}})}) {
+    const at::Tensor shown = rasterize(clip, faces, 16, 16).select(3, 3);
+    EXPECT_GT((shown == 1).sum().item<int64_t>(), 100);
+    EXPECT_EQ((shown == 2).sum().item<int64_t>(), 0);
+  }
+}
+
 TEST(Rasterize, ManyTrianglesShowWhatTheNearestAloneShows) {
   // Counts around those that are set up together; small ones, large ones, some behind the camera.
   for (const int64_t count : {1, 2, 3, 5, 8, 9, 63, 64, 65, 131}) {
