@@ -139,8 +139,8 @@ TEST(Rasterize, NearerTriangleWinsWhateverTheOrder) {
 TEST(Rasterize, LowerIndexWinsAtEqualDepthWhicheverIsDrawnFirst) {
   // One triangle twice; its depths have exact sums. Far triangles are drawn after near ones, and
   // the first vertex decides which a triangle is: here (a,b,c) is near and (b,c,a) far.
-  const at::Tensor clip = at::tensor({-1.0F, -1.0F, -0.5F, 1.0F,   //
-                                      1.0F, -1.0F, 0.5F, 1.0F,     //
+  const at::Tensor clip = at::tensor({-1.0F, -1.0F, -0.5F, 1.0F,  //
+                                      1.0F, -1.0F, 0.5F, 1.0F,    //
                                       -1.0F, 1.0F, -0.5F, 1.0F})
                               .view({1, 3, 4});
   for (const auto& faces : {faces_of({{1, 2, 0}, {0, 1, 2}}), faces_of({{0, 1, 2}, {1, 2, 0}})}) {
