@@ -22,3 +22,15 @@ def markdown_table(header: list[str], rows: list[list[str]]) -> str:
     """Format a table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def processor() -> str:
+    """Return the processor's name and its widest vectors, which the kernels choose by."""
+    lines = dict(
+        (part.strip() for part in line.split(":", 1))
+        for line in Path("/proc/cpuinfo").read_text().splitlines()
+        if ":" in line
+    )
+    flags = lines.get("flags", "").split()
+    vectors = next((n for f, n in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if f in flags), "SSE2")
+    return f"{lines.get('model name', 'processor')}, {vectors}"

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from page import write_section
+from page import processor, write_section
 from safetensors.numpy import save_file
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -311,8 +311,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         rows = measure(options, Path(folder))
     text = (
-        f"Medians of {options.rounds} rounds, load average {os.getloadavg()[0]:.1f} at the end.\n\n"
-        + table(rows, options.threads)
+        f"Medians of {options.rounds} rounds on {processor()}, load average "
+        f"{os.getloadavg()[0]:.1f} at the end.\n\n" + table(rows, options.threads)
     )
     print(text)
     write_section("peers", text)

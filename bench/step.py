@@ -14,7 +14,7 @@ import statistics
 import subprocess
 from pathlib import Path
 
-from page import write_section
+from page import processor, write_section
 
 ROOT = Path(__file__).resolve().parents[1]
 PROGRAM = ROOT / "build/release/bench/step_bench"
@@ -43,9 +43,9 @@ def main() -> None:
     step, classifier = (statistics.median(r[k] for r in rounds) for k in ("step", "classifier"))
     share = statistics.median(1 - r["classifier"] / r["step"] for r in rounds)
     text = (
-        f"6 views a step, {SURROGATE}, {options.threads} threads, median of {options.rounds} "
-        f"rounds of {STEPS} steps, load average {os.getloadavg()[0]:.1f} at the end: a step takes "
-        f"{step:.0f} ms, the classifier's passes {classifier:.0f} ms; {100 * share:.0f} % of the "
+        f"6 views a step, {SURROGATE}, {options.threads} threads of {processor()}, median of "
+        f"{options.rounds} rounds of {STEPS} steps, load average {os.getloadavg()[0]:.1f} at the "
+        f"end: a step takes {step:.0f} ms, the classifier's passes {classifier:.0f} ms; {100 * share:.0f} % of the "
         f"step is outside the classifier."
     )
     print(text)
