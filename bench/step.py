@@ -45,8 +45,8 @@ def main() -> None:
     text = (
         f"6 views a step, {SURROGATE}, {options.threads} threads of {processor()}, median of "
         f"{options.rounds} rounds of {STEPS} steps, load average {os.getloadavg()[0]:.1f} at the "
-        f"end: a step takes {step:.0f} ms, the classifier's passes {classifier:.0f} ms; {100 * share:.0f} % of the "
-        f"step is outside the classifier."
+        f"end: a step takes {step:.0f} ms, the classifier's passes {classifier:.0f} ms; "
+        f"{100 * share:.0f} % of the step is outside the classifier."
     )
     print(text)
     write_section("step", text)
