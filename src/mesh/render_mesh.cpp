@@ -33,12 +33,6 @@ Tensor vertex_normals(const Tensor& vertices, const Tensor& faces) {
   return sum / (sum.square().sum(1, true) + 1e-30).sqrt();
 }
 
-Tensor to_clip(const Tensor& vertices, const Tensor& matrices) {
-  const Tensor homogeneous =
-      at::cat({vertices, at::ones({vertices.size(0), 1}, vertices.options())}, 1);
-  return at::matmul(homogeneous, matrices.transpose(1, 2));
-}
-
 Tensor render_mesh(const Tensor& vertices, const Tensor& rest, const RenderMesh& mesh,
                    const std::vector<Camera>& cameras, const SurfaceShader& shader,
                    Tensor* rast_out) {

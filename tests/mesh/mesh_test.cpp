@@ -29,6 +29,27 @@ Tensor ball(int64_t size, double radius, double cx = 0) {
 
 TriMesh as_mesh(const testing::Shape& s) { return {s.vertices, s.faces}; }
 
+TEST(ToClip, IsTheMatrixProductWithItsGradients) {
+  const Tensor vertices = testing::uniform({17, 3}, -1, 1, 1),
+               weight = testing::uniform({3, 17, 4}, -1, 1, 2);
+  const Tensor matrices = testing::uniform({3, 4, 4}, -1, 1, 3);
+  const auto reference = [&](const Tensor& points) {
+    const Tensor ones = at::ones({points.size(0), 1}, points.options());
+    return at::matmul(at::cat({points, ones}, 1), matrices.transpose(1, 2));
+  };
+  const auto sum = [&](const std::vector<Tensor>& in) {
+    return (to_clip(in[0], matrices) * weight).sum();
+  };
+  EXPECT_TRUE(at::allclose(to_clip(vertices, matrices), reference(vertices)));
+  EXPECT_LT(testing::gradient_error(sum, {vertices}), 1e-7);
+  const Tensor ours = vertices.clone().requires_grad_(true);
+  const Tensor plain = vertices.clone().requires_grad_(true);
+  sum({ours}).backward();
+  (reference(plain) * weight).sum().backward();
+  EXPECT_TRUE(at::allclose(ours.grad(), plain.grad()));
+  EXPECT_THROW((void)to_clip(vertices, matrices.to(at::kFloat)), c10::Error);
+}
+
 TEST(MarchingCubes, BallHasItsVolumeAndGenus) {
   const TriMesh mesh = marching_cubes(ball(64, 0.7));
   const MeshFacts facts = inspect(mesh);

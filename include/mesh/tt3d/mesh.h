@@ -94,7 +94,8 @@ struct RenderMesh {
 /// World-to-clip matrices of cameras, [N,4,4] float32, with depth range fitted to [-1,1]^3 around
 /// the origin times `extent`.
 [[nodiscard]] at::Tensor clip_matrices(const std::vector<Camera>& cameras, double extent = 2);
-/// vertices [V,3] through matrices [N,4,4]: clip coordinates [N,V,4].
+/// vertices [V,3] through matrices [N,4,4] of the same type: clip coordinates [N,V,4].
+/// Differentiable with respect to the vertices.
 [[nodiscard]] at::Tensor to_clip(const at::Tensor& vertices, const at::Tensor& matrices);
 
 // ---- Regularisers -------------------------------------------------------------------------
