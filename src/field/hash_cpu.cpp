@@ -17,17 +17,16 @@ struct Cells {
   uint32_t entry[8][kCount];
   T fraction[3][kCount], weight[8][kCount];
 
-  TT3D_HD void find(const T* __restrict points, int64_t count, const HashLevel& level) {
+  /// Of points whose entries, F numbers each, lie in `table`.
+  template <int F>
+  TT3D_HD void find(const T* __restrict points, const T* table, int64_t count,
+                    const HashLevel& level) {
 #pragma GCC ivdep
     for (int64_t i = 0; i < count; ++i) {
       uint32_t cell[3];
       for (int k = 0; k < 3; ++k) locate(points[3 * i + k], level, cell[k], fraction[k][i]);
       for (int k = 0; k < 8; ++k) entry[k][i] = corner_entry(k, cell, level);
     }
-  }
-  /// Asks for the entries' memory, all at once.
-  template <int F>
-  TT3D_HD void fetch(const T* table, int64_t count) const {
     for (const auto& corner : entry) {
       for (int64_t i = 0; i < count; ++i) __builtin_prefetch(table + int64_t{corner[i]} * F);
     }
@@ -48,8 +47,7 @@ TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table,
   Cells<T> cells;
   for (int64_t first = begin; first < end; first += cells.kCount) {
     const int64_t size = std::min(cells.kCount, end - first);
-    cells.find(points + 3 * first, size, level);
-    cells.template fetch<F>(table, size);
+    cells.template find<F>(points + 3 * first, table, size, level);
     cells.weigh(size);
     T sums[F][cells.kCount] = {};
     for (int k = 0; k < 8; ++k) {
@@ -110,8 +108,7 @@ TT3D_HD void scatter_blocks(const T* __restrict points, const T* __restrict grad
   Cells<T> cells;
   for (int64_t first = 0; first < count; first += cells.kCount) {
     const int64_t size = std::min(cells.kCount, count - first);
-    cells.find(points + 3 * first, size, level);
-    cells.template fetch<F>(grad_table, size);
+    cells.template find<F>(points + 3 * first, grad_table, size, level);
     cells.weigh(size);
     for (int64_t i = 0; i < size; ++i) {
       Numbers g;
@@ -134,8 +131,7 @@ TT3D_HD void slope_range(const T* __restrict points, const T* __restrict table,
   Cells<T> cells;
   for (int64_t first = begin; first < end; first += cells.kCount) {
     const int64_t size = std::min(cells.kCount, end - first);
-    cells.find(points + 3 * first, size, level);
-    cells.template fetch<F>(table, size);
+    cells.template find<F>(points + 3 * first, table, size, level);
     T value[8][cells.kCount];
     for (int k = 0; k < 8; ++k) {
 #pragma GCC ivdep

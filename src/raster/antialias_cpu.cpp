@@ -17,9 +17,6 @@ void mark_row(const AntialiasView<T>& view, const T* rast, int64_t width, uint8_
   }
 }
 
-/// Eight marks at once.
-uint64_t load_marks(const uint8_t* marks) { return load<uint64_t>(marks); }
-
 /// Views in parallel, the pixels of each in order, so that sums get the same bytes with any number
 /// of threads. Leaves out pixels without a silhouette there, to the right or below: nearly all.
 template <typename Body>
@@ -37,8 +34,8 @@ void for_each_marked_pixel(const Body& body) {
       if (y + 1 < s.height) mark_row(view, rast + (y + 1) * s.width * 4, s.width, below.data());
       const uint8_t *here = marks.data(), *under = below.data();
       for (int64_t first = 0; first < s.width; first += kMarks) {
-        if ((load_marks(here + first) | load_marks(here + first + 1) | load_marks(under + first)) ==
-            0) {
+        if ((load<uint64_t>(here + first) | load<uint64_t>(here + first + 1) |
+             load<uint64_t>(under + first)) == 0) {
           continue;
         }
         for (int64_t x = first; x < std::min(first + kMarks, s.width); ++x) {

@@ -49,10 +49,7 @@ struct FacingFace {
     const int32_t* triangle = faces + 3 * (i - view * s.faces);
     const T* points = clip + view * s.vertices * 4;
     FlatVertex<double> corner[3];
-    for (int k = 0; k < 3; ++k) {
-      const ClipVertex v = load_vertex(points, triangle[k]);
-      corner[k] = {v.x, v.y, v.w};
-    }
+    load_flat_triangle(points, triangle, corner);
     facing[i] = turn_of(corner) > 0;
   }
 };

@@ -5,13 +5,6 @@
 namespace tt3d::raster {
 namespace {
 
-/// Of up to four pixels from `from` on their four numbers each, a lane a pixel.
-template <typename T>
-TT3D_HD void load_pixels(const T* from, int count, Row<T> (&rows)[kLanes]) {
-  for (int j = 0; j < kLanes; ++j) rows[j] = load<Row<T>>(from + 4 * std::min(j, count - 1));
-  transpose<T>(rows);
-}
-
 /// Adds what `count` pixels beside each other, from pixel i on, give to the vertices of their
 /// triangles. A lane is a pixel.
 template <typename T>
@@ -20,8 +13,9 @@ TT3D_HD void spread_row(const RasterizeBackwardPixel<T>& body, const T* clip, in
   typedef Row<WholeAs<T>> Mask;
   constexpr Mask kPlace = {0, 1, 2, 3};
   Row<T> grad[kLanes], shown[kLanes];
-  load_pixels(body.grad_rast + 4 * i, count, grad);
-  load_pixels(body.rast + 4 * i, count, shown);
+  const auto pixel = [&](int j) TT3D_INLINE { return std::min(j, count - 1); };
+  load_rows(body.grad_rast + 4 * i, pixel, grad);
+  load_rows(body.rast + 4 * i, pixel, shown);
   const Mask active = (kPlace < count) & (shown[3] != 0) & ((grad[0] != 0) | (grad[1] != 0));
   if (!any(active)) return;
   const Mask face = (__builtin_convertvector(shown[3], Mask) - 1) & active;
@@ -65,14 +59,13 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T> body, int64_t view, i
   for (int64_t y = first / width; y * width < last; ++y) {
     const int64_t row = y * width, end = std::min(last - row, width);
     const double py = pixel_y(y, body.s.height);
-    int64_t x = std::max<int64_t>(first - row, 0);
-    for (; x + kLanes <= end; x += kLanes) {
+    const auto spread = [&](int64_t x, int count) TT3D_INLINE {
       const Row<double> px = pixel_x(static_cast<double>(x) + kPlace, width);
-      spread_row(body, clip, offset + row + x, kLanes, px, py, sums);
-    }
-    if (x == end) continue;
-    const Row<double> px = pixel_x(static_cast<double>(x) + kPlace, width);
-    spread_row(body, clip, offset + row + x, static_cast<int>(end - x), px, py, sums);
+      spread_row(body, clip, offset + row + x, count, px, py, sums);
+    };
+    int64_t x = std::max<int64_t>(first - row, 0);
+    for (; x + kLanes <= end; x += kLanes) spread(x, kLanes);
+    if (x < end) spread(x, static_cast<int>(end - x));
   }
 }
 

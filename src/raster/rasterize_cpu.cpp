@@ -109,36 +109,6 @@ struct Batch {
   }
 };
 
-/// Fills the batch with the next near triangles from `face` on that may cover a pixel of the band,
-/// and lists the far ones among them; returns the one after.
-template <typename T>
-TT3D_HD int64_t choose(const int32_t* faces, const VertexBounds* points, const Sizes& s,
-                       Band<T>& band, int64_t face, Batch<T>& batch) {
-  const Bounds first = {0, band.y_begin, 0, 0};
-  const Bounds last = {INT32_MAX, INT32_MAX, INT32_MAX, band.y_end};
-  batch.count = 0;
-  for (; face < s.faces && batch.count < kBatch; ++face) {
-    const int32_t* corner = faces + 3 * face;
-    const VertexBounds &p = points[corner[0]], &q = points[corner[1]], &r = points[corner[2]];
-    Bounds bounds = bounds_of(p, q, r);
-    bounds = bounds < first ? first : bounds;
-    bounds = bounds > last ? last : bounds;
-    Candidate candidate;
-    std::memcpy(&candidate.x_begin, &bounds, sizeof bounds);
-    candidate.face = static_cast<int32_t>(face);
-    const bool drawn = covers_any(bounds) & (p.in_front | q.in_front | r.in_front);
-    const bool far = p.depth > band.middle;
-    batch.of[batch.count] = candidate;
-    band.far[band.far_count] = candidate;
-    const Group<T>* group = band.groups.data() + (candidate.y_begin - band.y_begin) * band.stride +
-                            candidate.x_begin / kColumns;
-    for (int row = 0; row < 3; ++row) __builtin_prefetch(group + row * band.stride, 1);
-    batch.count += drawn & !far;
-    band.far_count += drawn & far;
-  }
-  return face;
-}
-
 /// Fills the batch with far triangles from the i-th on; returns the one after.
 template <typename T>
 TT3D_HD int64_t choose_far(const Band<T>& band, int64_t i, Batch<T>& batch) {
@@ -153,11 +123,10 @@ template <typename T>
 TT3D_HD void load_four(const T* clip, const int32_t* faces, int i, Batch<T>& batch) {
   for (int k = 0; k < 3; ++k) {
     Row<T> rows[4];
-    for (int j = 0; j < 4; ++j) {
-      const int32_t vertex = faces[3 * static_cast<int64_t>(batch.of[i + j].face) + k];
-      rows[j] = load<Row<T>>(clip + 4 * static_cast<int64_t>(vertex));
-    }
-    transpose<T>(rows);
+    const auto vertex = [&](int j) TT3D_INLINE {
+      return faces[3 * static_cast<int64_t>(batch.of[i + j].face) + k];
+    };
+    load_rows(clip, vertex, rows);
     for (int m = 0; m < 4; ++m) std::memcpy(batch.corner[k][m] + i, &rows[m], sizeof rows[m]);
   }
 }
@@ -345,6 +314,35 @@ struct Painter {
   }
 };
 
+/// Fills the batch with the next near triangles from `face` on that may cover a pixel of the band,
+/// and lists the far ones among them; returns the one after.
+template <typename T>
+TT3D_HD int64_t choose(const int32_t* faces, const VertexBounds* points, const Sizes& s,
+                       const Painter<T>& painter, Band<T>& band, int64_t face, Batch<T>& batch) {
+  const Bounds first = {0, band.y_begin, 0, 0};
+  const Bounds last = {INT32_MAX, INT32_MAX, INT32_MAX, band.y_end};
+  batch.count = 0;
+  for (; face < s.faces && batch.count < kBatch; ++face) {
+    const int32_t* corner = faces + 3 * face;
+    const VertexBounds &p = points[corner[0]], &q = points[corner[1]], &r = points[corner[2]];
+    Bounds bounds = bounds_of(p, q, r);
+    bounds = bounds < first ? first : bounds;
+    bounds = bounds > last ? last : bounds;
+    Candidate candidate;
+    std::memcpy(&candidate.x_begin, &bounds, sizeof bounds);
+    candidate.face = static_cast<int32_t>(face);
+    const bool drawn = covers_any(bounds) & (p.in_front | q.in_front | r.in_front);
+    const bool far = p.depth > band.middle;
+    batch.of[batch.count] = candidate;
+    band.far[band.far_count] = candidate;
+    const Group<T>* group = painter.group_at(candidate.x_begin, candidate.y_begin);
+    for (int row = 0; row < 3; ++row) __builtin_prefetch(group + row * band.stride, 1);
+    batch.count += drawn & !far;
+    band.far_count += drawn & far;
+  }
+  return face;
+}
+
 /// All triangles of a view, the near half before the far half, which it mostly hides. Within a half
 /// in order: neighbours in a mesh are neighbours on the screen, so the band stays in the cache
 /// without sorting triangles into tiles first.
@@ -354,7 +352,7 @@ TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* 
   const Painter<T> painter(band);
   Batch<T> batch;
   for (int64_t f = 0; f < s.faces;) {
-    f = choose(faces, points, s, band, f, batch);
+    f = choose(faces, points, s, painter, band, f, batch);
     set_up(clip, faces, batch);
     painter.draw_batch(batch, false);
   }

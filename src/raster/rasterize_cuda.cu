@@ -195,10 +195,7 @@ __device__ void spread_run(const RasterizeBackwardPixel<T>& body, int64_t i, boo
   double weight[3] = {};
   if (face >= 0) {
     FlatVertex<double> corner[3];
-    for (int k = 0; k < 3; ++k) {
-      const ClipVertex v = load_vertex(body.clip + vertex, triangle[k]);
-      corner[k] = {v.x, v.y, v.w};
-    }
+    load_flat_triangle(body.clip + vertex, triangle, corner);
     step = rasterize_backward(
         corner, pixel_x(at.column, body.s.width), pixel_y(at.row, body.s.height),
         static_cast<double>(body.grad_rast[4 * i]), static_cast<double>(body.grad_rast[4 * i + 1]));

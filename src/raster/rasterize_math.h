@@ -252,6 +252,14 @@ struct FlatVertex {
   Value x, y, w;
 };
 
+template <typename T>
+TT3D_HD void load_flat_triangle(const T* clip, const int32_t* face, FlatVertex<double> corner[3]) {
+  for (int k = 0; k < 3; ++k) {
+    const ClipVertex v = load_vertex(clip, face[k]);
+    corner[k] = {v.x, v.y, v.w};
+  }
+}
+
 /// What a pixel's gradient adds to a triangle's vertices is a row times the vertex's weight u, v or
 /// 1 - u - v: where sum_k u_k p_k is along (P,1), moving vertex k by d is moving the sum by u_k d.
 /// With p' = p.xy - P p.w and differences taken from vertex 2, u = cross(p1', p2') / cross(d0, d1),

@@ -4,7 +4,7 @@
 #include <cstring>
 #include <type_traits>
 
-#include "rasterize_math.h"
+#include "pixels_cpu.h"
 
 /// Vectors of four numbers, for loops that the compiler does not turn into vectors by itself. They
 /// fill AVX2 with doubles, and hold a vertex in clip space or a pixel of rast. Passed to inlined
@@ -65,6 +65,15 @@ TT3D_HD void transpose(Row<T> (&rows)[4]) {
   rows[3] = __builtin_shufflevector(ab_zw, cd_zw, 2, 3, 6, 7);
 }
 
+/// Rows row_at(0) to row_at(3) of a matrix of four columns, turned: a lane is a row.
+template <typename T, typename RowAt>
+TT3D_HD void load_rows(const T* from, const RowAt& row_at, Row<T> (&rows)[kLanes]) {
+  for (int j = 0; j < kLanes; ++j) {
+    rows[j] = load<Row<T>>(from + 4 * static_cast<int64_t>(row_at(j)));
+  }
+  transpose<T>(rows);
+}
+
 template <typename T>
 TT3D_HD Row<double> doubles(const Row<T>& v) {
   return __builtin_convertvector(v, Row<double>);
@@ -74,10 +83,8 @@ TT3D_HD Row<double> doubles(const Row<T>& v) {
 template <typename T>
 TT3D_HD FlatVertex<Row<double>> load_vertices(const T* clip, const int32_t (&vertex)[kLanes]) {
   Row<T> rows[kLanes];
-  for (int j = 0; j < kLanes; ++j) {
-    rows[j] = load<Row<T>>(clip + 4 * static_cast<int64_t>(vertex[j]));
-  }
-  transpose<T>(rows);
+  load_rows(
+      clip, [&](int j) TT3D_INLINE { return vertex[j]; }, rows);
   return {doubles<T>(rows[0]), doubles<T>(rows[1]), doubles<T>(rows[3])};
 }
 
