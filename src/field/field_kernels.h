@@ -10,24 +10,27 @@
 /// pointers out. On the CPU the same bytes with any number of threads.
 namespace tt3d::field {
 
-/// Points [P,3] row-major; table [entries,F]; out [levels*F, P].
+/// Points [P,3] row-major; table [entries,F]; out [levels*F, P]. Where `slopes` [levels*F, 3, P] is
+/// not null, it gets the derivatives of `out` along the axes, which cost little while the entries
+/// are at hand.
 template <typename T>
-void hash_encode(const Cpu&, const T* points, const T* table, T* out, int64_t count,
+void hash_encode(const Cpu&, const T* points, const T* table, T* out, T* slopes, int64_t count,
                  const HashLevels& levels, int64_t features);
-/// A thread owns levels: no atomics. Accumulates into grad_table.
+/// A thread owns levels: no atomics. Overwrites grad_table.
 template <typename T>
 void hash_encode_backward(const Cpu&, const T* points, const T* grad_out, T* grad_table,
                           int64_t count, const HashLevels& levels, int64_t features);
 /// Gradient with respect to the points; overwrites grad_points [P,3].
 template <typename T>
-void hash_encode_backward_points(const Cpu&, const T* points, const T* table, const T* grad_out,
-                                 T* grad_points, int64_t count, const HashLevels& levels,
-                                 int64_t features);
+void hash_encode_backward_points(const Cpu&, const T* points, const T* table, const T* slopes,
+                                 const T* grad_out, T* grad_points, int64_t count,
+                                 const HashLevels& levels, int64_t features);
 
-/// The same on the GPU: a thread a point and level, gradients with atomics.
+/// The same on the GPU: a thread a point and level, gradients with atomics, which add to
+/// grad_table. It keeps no slopes, but looks the entries up again.
 template <typename T>
-void hash_encode(const Cuda& on, const T* points, const T* table, T* out, int64_t count,
-                 const HashLevels& levels, int64_t features) {
+void hash_encode(const Cuda& on, const T* points, const T* table, T* out, T* /*slopes*/,
+                 int64_t count, const HashLevels& levels, int64_t features) {
   const int64_t items = count * levels.count;
   if (features == 1)
     for_each_index(on, items, HashEncodeItem<T, 1>{points, table, out, count, levels});
@@ -45,9 +48,9 @@ void hash_encode_backward(const Cuda& on, const T* points, const T* grad_out, T*
 }
 
 template <typename T>
-void hash_encode_backward_points(const Cuda& on, const T* points, const T* table, const T* grad_out,
-                                 T* grad_points, int64_t count, const HashLevels& levels,
-                                 int64_t features) {
+void hash_encode_backward_points(const Cuda& on, const T* points, const T* table,
+                                 const T* /*slopes*/, const T* grad_out, T* grad_points,
+                                 int64_t count, const HashLevels& levels, int64_t features) {
   if (features == 1)
     for_each_index(on, count,
                    HashPointGradient<T, 1>{points, table, grad_out, grad_points, count, levels});

@@ -54,29 +54,35 @@ field::HashLevels kernel_levels(const HashGridShape& shape) {
 }
 
 struct HashEncode : public Function<HashEncode> {
-  /// `points`: rows of the points themselves before those of the encoding, 3 or 0.
+  /// `points`: rows of the points themselves before those of the encoding, 3 or 0. `moving`: the
+  /// points will be asked for their gradient.
   static Tensor forward(AutogradContext* ctx, const Tensor& x_in, const Tensor& table,
-                        const HashGridShape& shape, int64_t points) {
+                        const HashGridShape& shape, int64_t points, bool moving) {
     const Tensor x = x_in.contiguous();
     const int64_t count = x.size(0);
     Tensor out = at::empty({points + shape.levels * shape.features, count}, table.options());
     if (points > 0) out.narrow(0, 0, points).copy_(x.t());
+    Tensor slopes;  // the GPU needs none
+    if (moving && !table.is_cuda()) {
+      slopes = at::empty({shape.levels * shape.features, 3, count}, table.options());
+    }
     const field::HashLevels levels = kernel_levels(shape);
     AT_DISPATCH_FLOATING_TYPES(table.scalar_type(), "hash_encode", [&] {
       on_device_of(table, [&](const auto& on) {
         field::hash_encode(on, x.const_data_ptr<scalar_t>(), table.const_data_ptr<scalar_t>(),
-                           out.mutable_data_ptr<scalar_t>() + points * count, count, levels,
-                           shape.features);
+                           out.mutable_data_ptr<scalar_t>() + points * count,
+                           slopes.defined() ? slopes.mutable_data_ptr<scalar_t>() : nullptr, count,
+                           levels, shape.features);
       });
     });
-    ctx->save_for_backward({x, table});
+    ctx->save_for_backward({x, table, slopes});
     ctx->saved_data["shape"] = std::vector<int64_t>{shape.levels,    shape.base,     shape.finest,
                                                     shape.log2_size, shape.features, points};
     return out;
   }
   static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
     const variable_list saved = ctx->get_saved_variables();
-    const Tensor &x = saved[0], &table = saved[1];
+    const Tensor &x = saved[0], &table = saved[1], &slopes = saved[2];
     const auto s = ctx->saved_data["shape"].toIntVector();
     const HashGridShape shape{s[0], s[1], s[2], s[3], s[4]};
     const field::HashLevels levels = kernel_levels(shape);
@@ -86,7 +92,8 @@ struct HashEncode : public Function<HashEncode> {
       const auto* points = x.const_data_ptr<scalar_t>();
       const auto* g = grad.const_data_ptr<scalar_t>() + grad_points.numel();
       if (ctx->needs_input_grad(1)) {
-        grad_table = at::zeros_like(table);
+        // The CPU clears a level where it goes on to add to it.
+        grad_table = table.is_cuda() ? at::zeros_like(table) : at::empty_like(table);
         on_device_of(table, [&](const auto& on) {
           field::hash_encode_backward(on, points, g, grad_table.mutable_data_ptr<scalar_t>(),
                                       x.size(0), levels, shape.features);
@@ -95,14 +102,15 @@ struct HashEncode : public Function<HashEncode> {
       if (ctx->needs_input_grad(0)) {
         grad_x = at::empty_like(x);
         on_device_of(table, [&](const auto& on) {
-          field::hash_encode_backward_points(on, points, table.const_data_ptr<scalar_t>(), g,
-                                             grad_x.mutable_data_ptr<scalar_t>(), x.size(0), levels,
-                                             shape.features);
+          field::hash_encode_backward_points(
+              on, points, table.const_data_ptr<scalar_t>(),
+              slopes.defined() ? slopes.const_data_ptr<scalar_t>() : nullptr, g,
+              grad_x.mutable_data_ptr<scalar_t>(), x.size(0), levels, shape.features);
         });
         if (grad_points.numel() > 0) grad_x += grad_points.t();
       }
     });
-    return {grad_x, grad_table, Tensor(), Tensor()};
+    return {grad_x, grad_table, Tensor(), Tensor(), Tensor()};
   }
 };
 
@@ -217,6 +225,12 @@ void check_hash_encode(const Tensor& x, const Tensor& table, const HashGridShape
       "table must be dense [entries, features]");
 }
 
+Tensor encode(const Tensor& x, const Tensor& table, const HashGridShape& shape, int64_t points) {
+  check_hash_encode(x, table, shape);
+  return HashEncode::apply(x, table, shape, points,
+                           at::GradMode::is_enabled() && x.requires_grad());
+}
+
 }  // namespace
 
 int64_t HashGridShape::entries() const {
@@ -225,13 +239,11 @@ int64_t HashGridShape::entries() const {
 }
 
 Tensor hash_encode(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
-  check_hash_encode(x, table, shape);
-  return HashEncode::apply(x, table, shape, 0);
+  return encode(x, table, shape, 0);
 }
 
 Tensor encode_points(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
-  check_hash_encode(x, table, shape);
-  return HashEncode::apply(x, table, shape, 3);
+  return encode(x, table, shape, 3);
 }
 
 Tensor mlp(const Tensor& x, const std::vector<Tensor>& weights) {

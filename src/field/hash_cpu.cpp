@@ -40,24 +40,43 @@ struct Cells {
   }
 };
 
-template <typename T, int F, bool kDense>
+template <typename T, int F, bool kDense, bool kSlopes>
 TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table, T* __restrict out,
-                          int64_t begin, int64_t end, int64_t count, HashLevel level) {
+                          T* __restrict slopes, int64_t begin, int64_t end, int64_t count,
+                          HashLevel level) {
   level.dense = kDense;
+  const T stretch = stretch_of<T>(level);
   Cells<T> cells;
   for (int64_t first = begin; first < end; first += cells.kCount) {
     const int64_t size = std::min(cells.kCount, end - first);
     cells.template find<F>(points + 3 * first, table, size, level);
     cells.weigh(size);
     T sums[F][cells.kCount] = {};
+    T value[kSlopes ? F : 1][8][cells.kCount];
     for (int k = 0; k < 8; ++k) {
 #pragma GCC ivdep
       for (int64_t i = 0; i < size; ++i) {
         const auto e = load_entry<T, F>(table, cells.entry[k][i]);
-        for (int f = 0; f < F; ++f) sums[f][i] += cells.weight[k][i] * e.value[f];
+        for (int f = 0; f < F; ++f) {
+          sums[f][i] += cells.weight[k][i] * e.value[f];
+          if constexpr (kSlopes) value[f][k][i] = e.value[f];
+        }
       }
     }
     for (int f = 0; f < F; ++f) std::copy_n(sums[f], size, out + f * count + first);
+    if constexpr (kSlopes) {
+      for (int f = 0; f < F; ++f) {
+        T* to = slopes + 3 * f * count + first;
+#pragma GCC ivdep
+        for (int64_t i = 0; i < size; ++i) {
+          T v[8], sum[3];
+          for (int k = 0; k < 8; ++k) v[k] = value[f][k][i];
+          const T at[3] = {cells.fraction[0][i], cells.fraction[1][i], cells.fraction[2][i]};
+          slope_of_cell(v, at, sum);
+          for (int axis = 0; axis < 3; ++axis) to[axis * count + i] = sum[axis] * stretch;
+        }
+      }
+    }
   }
 }
 
@@ -121,73 +140,69 @@ TT3D_HD void scatter_blocks(const T* __restrict points, const T* __restrict grad
   }
 }
 
-/// Adds the level's part of the gradient with respect to the points to total [3,kSlopeChunk].
-template <typename T, int F, bool kDense>
-TT3D_HD void slope_range(const T* __restrict points, const T* __restrict table,
-                         const T* __restrict grad_out, T* __restrict total, int64_t begin,
-                         int64_t end, int64_t count, HashLevel level) {
-  level.dense = kDense;
-  const T stretch = stretch_of<T>(level);
-  Cells<T> cells;
-  for (int64_t first = begin; first < end; first += cells.kCount) {
-    const int64_t size = std::min(cells.kCount, end - first);
-    cells.template find<F>(points + 3 * first, table, size, level);
-    T value[8][cells.kCount];
-    for (int k = 0; k < 8; ++k) {
-#pragma GCC ivdep
-      for (int64_t i = 0; i < size; ++i) {
-        T g[F];
-        for (int f = 0; f < F; ++f) g[f] = grad_out[f * count + first + i];
-        value[k][i] = dot_entry<T, F>(table, cells.entry[k][i], g);
-      }
+/// Points [begin, end), kSlopeChunk at most: the rows' slopes times their gradients, summed.
+template <typename T>
+TT3D_HD void slope_range(const T* __restrict points, const T* __restrict slopes,
+                         const T* __restrict grad_out, T* __restrict grad_points, int64_t begin,
+                         int64_t end, int64_t count, int64_t rows) {
+  const int64_t size = end - begin;
+  T total[3][kSlopeChunk] = {};
+  for (int64_t r = 0; r < rows; ++r) {
+    const T* g = grad_out + r * count + begin;
+    for (int axis = 0; axis < 3; ++axis) {
+      const T* slope = slopes + (3 * r + axis) * count + begin;
+      for (int64_t i = 0; i < size; ++i) total[axis][i] += slope[i] * g[i];
     }
-    T* sums = total + first - begin;
-#pragma GCC ivdep
-    for (int64_t i = 0; i < size; ++i) {
-      T v[8], sum[3];
-      for (int k = 0; k < 8; ++k) v[k] = value[k][i];
-      const T at[3] = {cells.fraction[0][i], cells.fraction[1][i], cells.fraction[2][i]};
-      slope_of_cell(v, at, sum);
-      for (int axis = 0; axis < 3; ++axis) sums[axis * kSlopeChunk + i] += sum[axis] * stretch;
+  }
+  for (int64_t i = 0; i < size; ++i) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const int64_t at = 3 * (begin + i) + axis;
+      grad_points[at] = is_inside(points[at]) ? total[axis][i] : T(0);
     }
   }
 }
 
-template <typename T, int F>
-TT3D_HD void encode_level(const T* points, const T* table, T* out, int64_t begin, int64_t end,
-                          int64_t count, const HashLevel& level) {
+template <typename T, int F, bool kSlopes>
+TT3D_HD void encode_level(const T* points, const T* table, T* out, T* slopes, int64_t begin,
+                          int64_t end, int64_t count, const HashLevel& level) {
   if (level.dense)
-    encode_range<T, F, true>(points, table, out, begin, end, count, level);
+    encode_range<T, F, true, kSlopes>(points, table, out, slopes, begin, end, count, level);
   else
-    encode_range<T, F, false>(points, table, out, begin, end, count, level);
+    encode_range<T, F, false, kSlopes>(points, table, out, slopes, begin, end, count, level);
 }
 
 // target_clones needs plain functions: one for each type and feature count.
-#define TT3D_HASH_LOOPS(T, F)                                                                   \
-  TT3D_CPU_LOOP void encode_##T##F(const T* points, const T* table, T* out, int64_t begin,      \
-                                   int64_t end, int64_t count, const HashLevel& level) {        \
-    encode_level<T, F>(points, table, out, begin, end, count, level);                           \
-  }                                                                                             \
-  TT3D_CPU_LOOP void scatter_##T##F(const T* points, const T* grad_out, T* grad_table,          \
-                                    int64_t count, const HashLevel& level) {                    \
-    if (level.dense)                                                                            \
-      scatter_runs<T, F>(points, grad_out, grad_table, count, level);                           \
-    else                                                                                        \
-      scatter_blocks<T, F>(points, grad_out, grad_table, count, level);                         \
-  }                                                                                             \
-  TT3D_CPU_LOOP void slope_##T##F(const T* points, const T* table, const T* grad_out, T* total, \
-                                  int64_t begin, int64_t end, int64_t count,                    \
-                                  const HashLevel& level) {                                     \
-    if (level.dense)                                                                            \
-      slope_range<T, F, true>(points, table, grad_out, total, begin, end, count, level);        \
-    else                                                                                        \
-      slope_range<T, F, false>(points, table, grad_out, total, begin, end, count, level);       \
+#define TT3D_HASH_LOOPS(T, F)                                                          \
+  TT3D_CPU_LOOP void encode_##T##F(const T* points, const T* table, T* out, T* slopes, \
+                                   int64_t begin, int64_t end, int64_t count,          \
+                                   const HashLevel& level) {                           \
+    if (slopes != nullptr)                                                             \
+      encode_level<T, F, true>(points, table, out, slopes, begin, end, count, level);  \
+    else                                                                               \
+      encode_level<T, F, false>(points, table, out, slopes, begin, end, count, level); \
+  }                                                                                    \
+  TT3D_CPU_LOOP void scatter_##T##F(const T* points, const T* grad_out, T* grad_table, \
+                                    int64_t count, const HashLevel& level) {           \
+    if (level.dense)                                                                   \
+      scatter_runs<T, F>(points, grad_out, grad_table, count, level);                  \
+    else                                                                               \
+      scatter_blocks<T, F>(points, grad_out, grad_table, count, level);                \
   }
 TT3D_HASH_LOOPS(float, 1)
 TT3D_HASH_LOOPS(float, 2)
 TT3D_HASH_LOOPS(double, 1)
 TT3D_HASH_LOOPS(double, 2)
 #undef TT3D_HASH_LOOPS
+
+#define TT3D_SLOPE_LOOP(T)                                                                 \
+  TT3D_CPU_LOOP void slope_loop(const T* points, const T* slopes, const T* grad_out,       \
+                                T* grad_points, int64_t begin, int64_t end, int64_t count, \
+                                int64_t rows) {                                            \
+    slope_range<T>(points, slopes, grad_out, grad_points, begin, end, count, rows);        \
+  }
+TT3D_SLOPE_LOOP(float)
+TT3D_SLOPE_LOOP(double)
+#undef TT3D_SLOPE_LOOP
 
 template <typename T>
 auto encode_loop(int64_t features) {
@@ -205,18 +220,10 @@ auto scatter_loop(int64_t features) {
     return features == 1 ? scatter_double1 : scatter_double2;
 }
 
-template <typename T>
-auto slope_loop(int64_t features) {
-  if constexpr (std::is_same_v<T, float>)
-    return features == 1 ? slope_float1 : slope_float2;
-  else
-    return features == 1 ? slope_double1 : slope_double2;
-}
-
 }  // namespace
 
 template <typename T>
-void hash_encode(const Cpu&, const T* points, const T* table, T* out, int64_t count,
+void hash_encode(const Cpu&, const T* points, const T* table, T* out, T* slopes, int64_t count,
                  const HashLevels& levels, int64_t features) {
   const auto encode = encode_loop<T>(features);
   const int64_t chunks = (count + kChunk - 1) / kChunk;
@@ -224,8 +231,10 @@ void hash_encode(const Cpu&, const T* points, const T* table, T* out, int64_t co
   for_each_task(levels.count * chunks, [&](int64_t task) {
     const int64_t l = task / chunks, begin = task % chunks * kChunk;
     const HashLevel& level = levels.level[l];
-    encode(points, table + level.offset * features, out + l * features * count, begin,
-           std::min(count, begin + kChunk), count, level);
+    const int64_t row = l * features;
+    encode(points, table + level.offset * features, out + row * count,
+           slopes ? slopes + 3 * row * count : nullptr, begin, std::min(count, begin + kChunk),
+           count, level);
   });
 }
 
@@ -237,39 +246,28 @@ void hash_encode_backward(const Cpu&, const T* points, const T* grad_out, T* gra
   for_each_task(levels.count, [&](int64_t task) {
     const int64_t l = levels.count - 1 - task;
     const HashLevel& level = levels.level[l];
-    scatter(points, grad_out + l * features * count, grad_table + level.offset * features, count,
-            level);
+    T* grad_level = grad_table + level.offset * features;
+    std::fill_n(grad_level, int64_t{level.size} * features, T(0));
+    scatter(points, grad_out + l * features * count, grad_level, count, level);
   });
 }
 
 template <typename T>
-void hash_encode_backward_points(const Cpu&, const T* points, const T* table, const T* grad_out,
-                                 T* grad_points, int64_t count, const HashLevels& levels,
-                                 int64_t features) {
-  const auto slopes = slope_loop<T>(features);
+void hash_encode_backward_points(const Cpu&, const T* points, const T* /*table*/, const T* slopes,
+                                 const T* grad_out, T* grad_points, int64_t count,
+                                 const HashLevels& levels, int64_t features) {
   for_each_chunk(count, kSlopeChunk, [&](int64_t begin, int64_t end) {
-    T total[3 * kSlopeChunk] = {};
-    for (int64_t l = 0; l < levels.count; ++l) {
-      const HashLevel& level = levels.level[l];
-      slopes(points, table + level.offset * features, grad_out + l * features * count, total, begin,
-             end, count, level);
-    }
-    for (int64_t i = begin; i < end; ++i) {
-      for (int axis = 0; axis < 3; ++axis) {
-        const bool inside = is_inside(points[3 * i + axis]);
-        grad_points[3 * i + axis] = inside ? total[axis * kSlopeChunk + i - begin] : T(0);
-      }
-    }
+    slope_loop(points, slopes, grad_out, grad_points, begin, end, count, levels.count * features);
   });
 }
 
-#define TT3D_INSTANTIATE(T)                                                                        \
-  template void hash_encode(const Cpu&, const T*, const T*, T*, int64_t, const HashLevels&,        \
-                            int64_t);                                                              \
-  template void hash_encode_backward(const Cpu&, const T*, const T*, T*, int64_t,                  \
-                                     const HashLevels&, int64_t);                                  \
-  template void hash_encode_backward_points(const Cpu&, const T*, const T*, const T*, T*, int64_t, \
-                                            const HashLevels&, int64_t);
+#define TT3D_INSTANTIATE(T)                                                                     \
+  template void hash_encode(const Cpu&, const T*, const T*, T*, T*, int64_t, const HashLevels&, \
+                            int64_t);                                                           \
+  template void hash_encode_backward(const Cpu&, const T*, const T*, T*, int64_t,               \
+                                     const HashLevels&, int64_t);                               \
+  template void hash_encode_backward_points(const Cpu&, const T*, const T*, const T*, const T*, \
+                                            T*, int64_t, const HashLevels&, int64_t);
 TT3D_INSTANTIATE(float)
 TT3D_INSTANTIATE(double)
 #undef TT3D_INSTANTIATE

@@ -33,8 +33,8 @@ struct Processor {
   template <typename T>
   static constexpr int kLanes = kVectorBytes / static_cast<int>(sizeof(T));
   static constexpr bool kWide = kVectorBytes == 64;  ///< 32 registers instead of 16
-  static constexpr int kProductRows = kWide ? 8 : 4;
-  static constexpr int kSumRows = kWide ? 6 : 4, kSumColumns = kWide ? 4 : 2;
+  static constexpr int kProductRows = kWide ? 8 : 6;
+  static constexpr int kSumRows = 6, kSumColumns = kWide ? 4 : 2;
 };
 template <typename P, typename T>
 using Lanes = typename P::template LanesOf<T>::type;
@@ -48,11 +48,12 @@ TT3D_HD const Lanes<P, T>& lanes_at(const T* numbers) {
   return *reinterpret_cast<const Lanes<P, T>*>(numbers);
 }
 
-/// y[out,kBlock] = w[out,in] x[in,kBlock], negative numbers replaced by zero where `rectified`:
-/// some rows of y by two vectors of points at a time. The points are outermost, so that what is
-/// read of x stays in the first cache for all rows.
+/// y[out,kBlock] = w[out,in] x[in,kBlock], some rows of y by two vectors of points at a time. Where
+/// there is a gate [out,kBlock], y is zero where that is not positive; y itself as its gate makes a
+/// rectifier. The points are outermost, so that what is read of x stays in the first cache for all
+/// rows.
 template <typename P, typename T>
-TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out, bool rectified) {
+TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out, const T* gate) {
   constexpr int kRows = P::kProductRows, kLanes = P::template kLanes<T>;
   for (int v = 0; v < kBlock; v += 2 * kLanes) {
     for (int64_t o = 0; o < out; o += kRows) {
@@ -73,8 +74,12 @@ TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out, boo
         if (r >= rows) break;
         for (int k = 0; k < 2; ++k) {
           const Lanes<P, T> rest = {};
-          if (rectified) sum[r][k] = sum[r][k] > rest ? sum[r][k] : rest;
-          lanes_at<P>(y + (o + r) * kRow + v + k * kLanes) = sum[r][k];
+          const int64_t at = (o + r) * kRow + v + k * kLanes;
+          if (gate == y)
+            sum[r][k] = sum[r][k] > rest ? sum[r][k] : rest;
+          else if (gate)
+            sum[r][k] = lanes_at<P>(gate + at) > rest ? sum[r][k] : rest;
+          lanes_at<P>(y + at) = sum[r][k];
         }
       }
     }
@@ -231,8 +236,9 @@ template <typename P, typename T>
 TT3D_HD void forward_block(const Layers<T>& layers, T* const* activations) {
   for (size_t k = 0; k < layers.count; ++k) {
     const Layer<T>& layer = layers.layer[k];
-    multiply<P>(layer.weights, activations[k], activations[k + 1], layer.in, layer.out,
-                k + 1 < layers.count);
+    T* y = activations[k + 1];
+    const T* gate = k + 1 < layers.count ? y : nullptr;
+    multiply<P>(layer.weights, activations[k], y, layer.in, layer.out, gate);
   }
 }
 
@@ -247,10 +253,7 @@ TT3D_HD const T* backward_block(const Layers<T>& layers, const Buffers<T>& work,
     const T* x = work.activations[k];
     accumulate_weights<P>(grad, x, work.turned, grad_weights[k], in, out);
     if (k == 0 && !want_input) return nullptr;
-    multiply<P>(layers.transposed[k], grad, next, out, in, false);
-    if (k > 0) {
-      for (int64_t i = 0; i < in * kRow; ++i) next[i] = x[i] > T(0) ? next[i] : T(0);
-    }
+    multiply<P>(layers.transposed[k], grad, next, out, in, k > 0 ? x : nullptr);
     std::swap(grad, next);
   }
   return grad;
