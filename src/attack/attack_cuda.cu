@@ -3,11 +3,17 @@
 
 namespace tt3d {
 
-using attack::EachPixel, attack::PlaceBackwardPixel, attack::PlacePixel;
+using attack::EachPixel;
 
-template void for_each_index(const Cuda&, int64_t, const EachPixel<PlacePixel<float>>&);
-template void for_each_index(const Cuda&, int64_t, const EachPixel<PlacePixel<double>>&);
-template void for_each_index(const Cuda&, int64_t, const EachPixel<PlaceBackwardPixel<float>>&);
-template void for_each_index(const Cuda&, int64_t, const EachPixel<PlaceBackwardPixel<double>>&);
+#define TT3D_INSTANTIATE(T)                                                                        \
+  template void for_each_index(const Cuda&, int64_t, const EachPixel<attack::PlacePixel<T>>&);     \
+  template void for_each_index(const Cuda&, int64_t,                                               \
+                               const EachPixel<attack::PlaceBackwardPixel<T>>&);                   \
+  template void for_each_index(const Cuda&, int64_t, const EachPixel<attack::OverWhitePixel<T>>&); \
+  template void for_each_index(const Cuda&, int64_t,                                               \
+                               const EachPixel<attack::OverWhiteBackwardPixel<T>>&);
+TT3D_INSTANTIATE(float)
+TT3D_INSTANTIATE(double)
+#undef TT3D_INSTANTIATE
 
 }  // namespace tt3d

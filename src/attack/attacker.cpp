@@ -11,6 +11,7 @@
 
 #include "color_space.h"
 #include "looks.h"
+#include "picture_ops.h"
 
 namespace tt3d {
 namespace {
@@ -123,8 +124,7 @@ AttackCurvePoint Attacker::compute_own(const AttackState& s, std::vector<Tensor>
 
 /// What attack.feature_mix sets against the pictures: the clean object in the same views.
 Tensor Attacker::competitors(const Rendering& shown) const {
-  if (options_.feature_mix <= 0) return {};
-  return at::cat({shown.clean, shown.pictures.narrow(1, 3, 1)}, 1).detach();
+  return options_.feature_mix > 0 ? shown.clean.detach() : Tensor();
 }
 
 void Attacker::apply(const std::vector<Tensor>& grads, AttackState& s) const {
@@ -169,8 +169,7 @@ double Attacker::held_out_success(const AttackState& s) const {
         render_mesh(vertices, input_.mesh.vertices, prepared_, cameras,
                     [&](const SurfacePoints& points) { return s.appearance->color(points); })
             .permute({0, 3, 1, 2});
-    const Tensor on_white = shown.narrow(1, 0, 3) + (1 - shown.narrow(1, 3, 1));
-    sum += ensemble_.success(on_white.clamp(0, 1).contiguous()) * static_cast<double>(count);
+    sum += ensemble_.success(over_white(shown).clamp(0, 1)) * static_cast<double>(count);
   }
   double mean = sum / static_cast<double>(options_.held_out_views);
   for (const auto& other : also_) mean += other->held_out_success(other->wearing(s));
@@ -195,18 +194,23 @@ Rendering Attacker::render(const AttackState& s, const Tensor& vertices) const {
         }
         shown.rgb = color_distance(options_.color_space, shown.colors, clean) / pixels;
         std::vector<Tensor> channels = {shown.colors};
-        if (with_clean) channels.push_back(clean);
+        if (with_clean) {
+          channels.push_back(clean);
+          channels.push_back(at::ones({1, clean.size(1)}, clean.options()));  // its alpha
+        }
         if (with_normals) {
           channels.push_back(
               at_points(vertex_normals(vertices, prepared_.faces), points, prepared_.faces));
         }
         return channels.size() == 1 ? shown.colors : at::cat(channels);
       });
-  const Tensor picture = rendered.permute({0, 3, 1, 2});
-  // Not a view of all channels: its gradient would be copied.
-  shown.pictures = picture.size(1) == 4 ? picture : picture.narrow(1, 0, 4);
-  if (with_clean) shown.clean = picture.narrow(1, 4, 3);
-  if (with_normals) shown.normals = picture.narrow(1, with_clean ? 7 : 4, 3);
+  // Taken apart while channels lie side by side: so do those of the gradients then.
+  const auto channels = [&](int64_t first, int64_t count) {
+    return rendered.narrow(3, first, count).permute({0, 3, 1, 2});
+  };
+  shown.pictures = channels(0, 4);
+  if (with_clean) shown.clean = channels(4, 4);
+  if (with_normals) shown.normals = channels(with_clean ? 8 : 4, 3);
   return shown;
 }
 

@@ -6,6 +6,7 @@
 #include <sstream>
 
 #include "attack_state.h"
+#include "picture_ops.h"
 #include "tt3d/similarity.h"
 
 namespace tt3d {
@@ -137,7 +138,7 @@ Naturalness::Terms Naturalness::terms(const Rendering& shown, const Tensor& vert
     t.total = t.total + options_.displacement_weight * regularizer_.edge_length(vertices - rest_);
   }
   if (options_.variation_weight > 0) {
-    const Tensor change = shown.pictures.narrow(1, 0, 3) - shown.clean;
+    const Tensor change = shown.pictures.narrow(1, 0, 3) - shown.clean.narrow(1, 0, 3);
     t.total = t.total + options_.variation_weight * total_variation(change);
   }
   if (printable_.defined()) {
@@ -150,10 +151,8 @@ Naturalness::Terms Naturalness::terms(const Rendering& shown, const Tensor& vert
 Tensor Naturalness::missing_similarity(const Rendering& shown) const {
   if (options_.ssim_floor <= 0) return at::zeros({}, shown.pictures.options());
   constexpr int64_t kStride = 2;
-  const auto parts = shown.pictures.split_with_sizes({3, 1}, 1);
-  const Tensor behind = 1 - parts[1];
   const Tensor similarity =
-      structural_similarity(parts[0] + behind, shown.clean.detach() + behind.detach(), kStride);
+      structural_similarity(over_white(shown.pictures), over_white(shown.clean.detach()), kStride);
   return (options_.ssim_floor - similarity.mean()).clamp_min(0);
 }
 

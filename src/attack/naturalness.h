@@ -11,7 +11,8 @@ namespace tt3d {
 /// What the views of a step show.
 struct Rendering {
   at::Tensor pictures;  ///< [N,4,H,W], premultiplied
-  at::Tensor clean;  ///< [N,3,H,W], the clean colours on the same shape; undefined unless asked for
+  /// The same with the clean colours on the same shape; undefined unless asked for.
+  at::Tensor clean;
   at::Tensor normals;  ///< [N,3,H,W], likewise
   at::Tensor colors;   ///< [3,P] colours of the visible surface points
   /// R_rgb: their squared distance to the clean ones, summed over colours and averaged over the

@@ -12,6 +12,9 @@ namespace tt3d {
 [[nodiscard]] at::Tensor place_over(const at::Tensor& renderings, const at::Tensor& maps,
                                     const at::Tensor& background, int64_t size);
 
+/// Renderings [N,4,H,W], premultiplied, over white: [N,3,H,W]. Differentiable. Likewise.
+[[nodiscard]] at::Tensor over_white(const at::Tensor& renderings);
+
 /// Gaussian blur of pictures [N,C,H,W], sigma in pixels; the kernel ends at two sigma, and the
 /// border's pixels go on outside. Differentiable.
 [[nodiscard]] at::Tensor gaussian_blur(const at::Tensor& pictures, double sigma);

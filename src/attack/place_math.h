@@ -5,8 +5,8 @@
 
 #include "tt3d/kernel.h"
 
-/// Bodies of the placement: a pixel of the transformed picture, looked up bilinearly in the
-/// rendering, over its background.
+/// Bodies of the placement (a pixel of the transformed picture, looked up bilinearly in the
+/// rendering, over its background) and of a rendering over white.
 namespace tt3d::attack {
 
 /// Where a picture's pixels come from.
@@ -16,6 +16,7 @@ struct Placement {
   const T* background;  ///< [N,3,side,side], side being size or 1
   int64_t side;
   int64_t height, width;  ///< of the rendering
+  int64_t stride;         ///< numbers from a pixel of the rendering to the next
   int64_t size;           ///< of the picture, both ways
 
   /// Channel c of picture n's background behind pixel `at`.
@@ -27,7 +28,7 @@ struct Placement {
 /// The four pixels around a place, from the top left one, and their weights.
 template <typename T>
 struct Taps {
-  int64_t row, column;
+  int32_t row, column;
   T weight[4];
   bool whole;  ///< all four lie in the rendering
 };
@@ -40,7 +41,7 @@ TT3D_HD T lower(T x) {
 }
 
 template <typename T>
-TT3D_HD Taps<T> taps_of(const Placement<T>& p, int64_t n, int64_t row, int64_t column) {
+TT3D_HD Taps<T> taps_of(const Placement<T>& p, int64_t n, int32_t row, int32_t column) {
   const T* m = p.map + 6 * n;
   const T step = 2 / static_cast<T>(p.size);
   const T x = (static_cast<T>(column) + T(0.5)) * step - 1;
@@ -53,8 +54,8 @@ TT3D_HD Taps<T> taps_of(const Placement<T>& p, int64_t n, int64_t row, int64_t c
   taps.weight[1] = right * (1 - down);
   taps.weight[2] = (1 - right) * down;
   taps.weight[3] = right * down;
-  taps.row = static_cast<int64_t>(top);
-  taps.column = static_cast<int64_t>(left);
+  taps.row = static_cast<int32_t>(top);
+  taps.column = static_cast<int32_t>(left);
   taps.whole = left >= 0 && top >= 0 && left + 1 < static_cast<T>(p.width) &&
                top + 1 < static_cast<T>(p.height);
   return taps;
@@ -72,20 +73,30 @@ TT3D_HD void visit_taps(const Placement<T>& p, const Taps<T>& taps, const Visit&
   }
 }
 
-/// A pixel of pictures [N,3,size,size] from renderings [N,height,width,4], premultiplied.
+/// A pixel of pictures [N,3,size,size] from renderings [N,height,width,stride], of whose numbers
+/// the first four are the premultiplied colour and alpha.
 template <typename T>
 struct PlacePixel {
   const T* images;
   T* out;
   Placement<T> p;
+  [[nodiscard]] TT3D_HD int64_t rows() const { return p.size; }
+  [[nodiscard]] TT3D_HD int64_t columns() const { return p.size; }
+  [[nodiscard]] TT3D_HD const T* image(int64_t n) const {
+    return images + n * p.height * p.width * p.stride;
+  }
   TT3D_HD void operator()(int64_t n, int64_t row, int64_t column) const {
-    const int64_t plane = p.size * p.size, at = row * p.size + column;
-    const Taps<T> taps = taps_of(p, n, row, column);
-    const T* image = images + n * p.height * p.width * 4;
     T sum[4] = {};
+    look_up(n, taps_of(p, n, static_cast<int32_t>(row), static_cast<int32_t>(column)), sum);
+    put(n, row * p.size + column, sum);
+  }
+  TT3D_HD void look_up(int64_t n, const Taps<T>& taps, T sum[4]) const {
     visit_taps(p, taps, [&](int64_t pixel, T weight) {
-      for (int c = 0; c < 4; ++c) sum[c] += weight * image[4 * pixel + c];
+      for (int c = 0; c < 4; ++c) sum[c] += weight * image(n)[p.stride * pixel + c];
     });
+  }
+  TT3D_HD void put(int64_t n, int64_t at, const T sum[4]) const {
+    const int64_t plane = p.size * p.size;
     for (int c = 0; c < 3; ++c) {
       out[(n * 3 + c) * plane + at] = sum[c] + (1 - sum[3]) * p.behind(n, c, at);
     }
@@ -98,18 +109,64 @@ struct PlaceBackwardPixel {
   const T* grad_out;
   T* grad_images;
   Placement<T> p;
+  [[nodiscard]] TT3D_HD int64_t rows() const { return p.size; }
+  [[nodiscard]] TT3D_HD int64_t columns() const { return p.size; }
+  [[nodiscard]] TT3D_HD T* image(int64_t n) const {
+    return grad_images + n * p.height * p.width * p.stride;
+  }
   TT3D_HD void operator()(int64_t n, int64_t row, int64_t column) const {
-    const int64_t plane = p.size * p.size, at = row * p.size + column;
-    T grad[4] = {};
+    T grad[4];
+    take(n, row * p.size + column, grad);
+    add(n, taps_of(p, n, static_cast<int32_t>(row), static_cast<int32_t>(column)), grad);
+  }
+  TT3D_HD void take(int64_t n, int64_t at, T grad[4]) const {
+    const int64_t plane = p.size * p.size;
+    grad[3] = 0;
     for (int c = 0; c < 3; ++c) {
       grad[c] = grad_out[(n * 3 + c) * plane + at];
       grad[3] -= grad[c] * p.behind(n, c, at);
     }
-    const Taps<T> taps = taps_of(p, n, row, column);
-    T* image = grad_images + n * p.height * p.width * 4;
+  }
+  TT3D_HD void add(int64_t n, const Taps<T>& taps, const T grad[4]) const {
     visit_taps(p, taps, [&](int64_t pixel, T weight) {
-      for (int c = 0; c < 4; ++c) accumulate(image + 4 * pixel + c, weight * grad[c]);
+      for (int c = 0; c < 4; ++c) accumulate(image(n) + p.stride * pixel + c, weight * grad[c]);
     });
+  }
+};
+
+/// A pixel of pictures [N,3,height,width]: renderings, as PlacePixel's, over white.
+template <typename T>
+struct OverWhitePixel {
+  const T* images;
+  T* out;
+  int64_t height, width, stride;
+  [[nodiscard]] TT3D_HD int64_t rows() const { return height; }
+  [[nodiscard]] TT3D_HD int64_t columns() const { return width; }
+  TT3D_HD void operator()(int64_t n, int64_t row, int64_t column) const {
+    const int64_t plane = height * width, at = row * width + column;
+    const T* image = images + (n * plane + at) * stride;
+    const T behind = 1 - image[3];
+    for (int c = 0; c < 3; ++c) out[(n * 3 + c) * plane + at] = image[c] + behind;
+  }
+};
+
+/// Overwrites grad_images [N,height,width,4].
+template <typename T>
+struct OverWhiteBackwardPixel {
+  const T* grad_out;
+  T* grad_images;
+  int64_t height, width;
+  [[nodiscard]] TT3D_HD int64_t rows() const { return height; }
+  [[nodiscard]] TT3D_HD int64_t columns() const { return width; }
+  TT3D_HD void operator()(int64_t n, int64_t row, int64_t column) const {
+    const int64_t plane = height * width, at = row * width + column;
+    T* grad = grad_images + (n * plane + at) * 4;
+    T alpha = 0;
+    for (int c = 0; c < 3; ++c) {
+      grad[c] = grad_out[(n * 3 + c) * plane + at];
+      alpha -= grad[c];
+    }
+    grad[3] = alpha;
   }
 };
 
@@ -118,21 +175,18 @@ template <typename Body>
 struct EachPixel {
   Body body;
   TT3D_HD void operator()(int64_t i) const {
-    const int64_t size = body.p.size, plane = size * size;
-    body(i / plane, i % plane / size, i % size);
+    const int64_t columns = body.columns(), plane = body.rows() * columns;
+    body(i / plane, i % plane / columns, i % columns);
   }
 };
 
-/// All pixels of `pictures` pictures: pictures in parallel, the pixels of each in order, so that
-/// sums get the same bytes with any number of threads.
-void for_each_pixel(const Cpu&, int64_t pictures, const PlacePixel<float>& body);
-void for_each_pixel(const Cpu&, int64_t pictures, const PlacePixel<double>& body);
-void for_each_pixel(const Cpu&, int64_t pictures, const PlaceBackwardPixel<float>& body);
-void for_each_pixel(const Cpu&, int64_t pictures, const PlaceBackwardPixel<double>& body);
+/// All pixels of `pictures` pictures. Defined for the bodies above, of floats and doubles.
+template <typename Body>
+void for_each_pixel(const Cpu&, int64_t pictures, const Body& body);
 
 template <typename Body>
 void for_each_pixel(const Cuda& on, int64_t pictures, const Body& body) {
-  for_each_index(on, pictures * body.p.size * body.p.size, EachPixel<Body>{body});
+  for_each_index(on, pictures * body.rows() * body.columns(), EachPixel<Body>{body});
 }
 
 }  // namespace tt3d::attack

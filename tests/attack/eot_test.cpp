@@ -340,6 +340,27 @@ TEST(PlaceOver, EqualsTheTensorReferenceAndItsGradient) {
   }
 }
 
+TEST(PlaceOver, TakesTheFirstChannelsOfAWiderPicture) {
+  const Tensor maps = testing::uniform({2, 2, 3}, -1.2, 1.2, 1);
+  const Tensor background = testing::uniform({2, 3, 1, 1}, 0, 1, 2);
+  const Tensor wide = testing::uniform({2, 9, 70, 8}, 0, 1, 3);
+  const Tensor part = wide.narrow(3, 4, 4).permute({0, 3, 1, 2});
+  const Tensor ours = place_over(part, maps, background, 75);
+  const Tensor wanted = reference_placement(part.contiguous(), maps, background, 75);
+  EXPECT_LT(value((ours - wanted).abs().max()), 1e-12);
+  EXPECT_TRUE(over_white(part).equal(over_white(part.contiguous())));
+}
+
+TEST(OverWhite, EqualsTheTensorReferenceAndItsGradient) {
+  const auto reference = [](const Tensor& x) {
+    return x.narrow(1, 0, 3) + (1 - x.narrow(1, 3, 1));
+  };
+  const Tensor x = testing::uniform({2, 4, 5, 13}, 0, 1, 3);
+  EXPECT_LT(value((over_white(x) - reference(x)).abs().max()), 1e-15);
+  const auto loss = [](const std::vector<Tensor>& in) { return over_white(in[0]).square().sum(); };
+  EXPECT_LT(testing::gradient_error(loss, {x}), 1e-7);
+}
+
 TEST(GaussianBlur, EqualsTheTensorReferenceAndItsGradient) {
   for (const double sigma : {0.3, 1.0, 2.6}) {
     const auto radius = static_cast<int64_t>(std::ceil(2 * sigma));
