@@ -235,7 +235,7 @@ def compare(
     """Return a row: rounds in turns, medians."""
     pairs = [(time_of_ours(name, mesh, threads), peer()) for _ in range(rounds)]
     ratio = statistics.median(b / a for a, b in pairs)
-    print(f"{label}: {ratio:.1f}x", file=sys.stderr, flush=True)
+    print(f"{label}: {ratio:.2f}x", file=sys.stderr, flush=True)
     ours, theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
     return Row(label, name, threads, ours, theirs, ratio)
 
@@ -270,6 +270,10 @@ def measure(options: argparse.Namespace, folder: Path) -> list[Row]:
             row(label, f"{name}_ours", threads,
                 lambda plain=plain, n=threads: time_of_ours(plain, path, n))
         )  # fmt: skip
+    label = "hash encoding, tt3d's own on one thread"
+    rows.append(
+        row(label, "hash_encode_ours", every, lambda: time_of_ours("hash_encode_ours", path, 1))
+    )
     for threads in (1, every):
         seconds = statistics.median(
             time_of_ours("mlp_ours", path, threads) for _ in range(options.rounds)
@@ -292,7 +296,7 @@ def table(rows: list[Row], every: int) -> str:
         if r.name in WORK:
             unit, amount = WORK[r.name]
             share = f"{100 * amount / r.ours / limits[r.threads][unit]:.0f} % of {unit}"
-        peer = f"{1000 * r.peer:.1f} | {r.ratio:.1f}" if r.peer else "| "
+        peer = f"{1000 * r.peer:.1f} | {r.ratio:.{1 if r.ratio >= 10 else 2}f}" if r.peer else "| "
         lines.append(f"| {r.label} | {r.threads} | {1000 * r.ours:.1f} | {peer} | {share} |")
     lines += ["", "The roof, measured in the same run: " + "; ".join(
         f"{n} thread{'s' if n > 1 else ''}: {v['bytes'] / 1e9:.1f} GB/s, "
