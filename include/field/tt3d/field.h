@@ -31,7 +31,8 @@ struct HashGridShape {
 
 /// Encodes points: x [P,3] in [-1,1]^3 (clamped), table [entries, features].
 /// Returns [levels * features, P]: one row a feature, levels outermost, so that the MLP reads
-/// rows. Trilinear. Differentiable with respect to table, and to x where it asks for a gradient.
+/// rows. Trilinear. Differentiable with respect to table, and to x where it asks for a gradient:
+/// the CPU then keeps 3 numbers a point, level and feature until the backward pass.
 [[nodiscard]] at::Tensor hash_encode(const at::Tensor& x, const at::Tensor& table,
                                      const HashGridShape& shape);
 
