@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <torch/csrc/autograd/autograd.h>
 
+#include "attack/picture_ops.h"
 #include "attack/toy_attack.h"
 #include "gpu/both_devices.h"
 #include "support/count_notes.h"
@@ -28,6 +29,22 @@ TEST_F(AttackOnGpu, TransformsAndTheirGradients) {
         },
         {testing::uniform({3, 4, 48, 48}, 0, 1, 5).to(at::kFloat)}, 1e-3);
   }
+}
+
+TEST_F(AttackOnGpu, RenderingsOverWhiteAndOverBackgroundsAndTheirGradients) {
+  const Tensor maps = testing::uniform({2, 2, 3}, -1.2, 1.2, 1);
+  const Tensor background = testing::uniform({2, 3, 1, 1}, 0, 1, 2);
+  const auto part = [](const Tensor& wide) { return wide.narrow(3, 4, 4).permute({0, 3, 1, 2}); };
+  const Tensor wide = testing::uniform({2, 9, 70, 8}, 0, 1, 3).to(at::kFloat);
+  testing::expect_same(
+      "over_white", gpu, [&](const auto& in) { return over_white(part(in[0])); }, {wide}, 1e-6);
+  testing::expect_same(
+      "place_over", gpu,
+      [&](const auto& in) {
+        const at::Device device = in[0].device();
+        return place_over(part(in[0]), maps.to(device), background.to(device), 75);
+      },
+      {wide}, 1e-4);
 }
 
 /// The gradient of a weighted sum of the logits.
