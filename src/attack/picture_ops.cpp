@@ -118,7 +118,8 @@ attack::BlurInput<T> blur_input(const Tensor& planes, const Tensor& taps) {
 /// taps [radius + 1]: half of the kernel.
 struct Blur : public Function<Blur> {
   static Tensor forward(AutogradContext* ctx, const Tensor& pictures_in, const Tensor& taps) {
-    const Tensor pictures = pictures_in.contiguous(), out = at::empty_like(pictures);
+    const Tensor pictures = pictures_in.contiguous();
+    Tensor out = at::empty_like(pictures);
     AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "gaussian_blur", [&] {
       attack::blur_cpu(blur_input<scalar_t>(pictures, taps), out.mutable_data_ptr<scalar_t>());
     });

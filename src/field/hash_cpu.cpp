@@ -52,7 +52,7 @@ TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table,
     cells.template find<F>(points + 3 * first, table, size, level);
     cells.weigh(size);
     T sums[F][cells.kCount] = {};
-    T value[kSlopes ? F : 1][8][cells.kCount];
+    [[maybe_unused]] T value[F][8][cells.kCount];  // of the corners, for the slopes
     for (int k = 0; k < 8; ++k) {
 #pragma GCC ivdep
       for (int64_t i = 0; i < size; ++i) {
@@ -66,7 +66,7 @@ TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table,
     for (int f = 0; f < F; ++f) std::copy_n(sums[f], size, out + f * count + first);
     if constexpr (kSlopes) {
       for (int f = 0; f < F; ++f) {
-        T* to = slopes + 3 * f * count + first;
+        T* to = slopes + int64_t{3} * f * count + first;
 #pragma GCC ivdep
         for (int64_t i = 0; i < size; ++i) {
           T v[8], sum[3];

@@ -258,7 +258,7 @@ struct HashScatterItem {
 template <typename T>
 TT3D_HD void slope_of_cell(const T v[8], const T fraction[3], T sum[3]) {
   T along_x[4], at_x[4];  // of the cell's four edges along x
-  for (int k = 0; k < 4; ++k) {
+  for (int64_t k = 0; k < 4; ++k) {
     along_x[k] = v[2 * k + 1] - v[2 * k];
     at_x[k] = v[2 * k] + along_x[k] * fraction[0];
   }
