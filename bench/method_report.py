@@ -21,7 +21,7 @@ from method_plan import (
     VICTIMS,
     Cell,
 )
-from page import markdown_table
+from page import READING, markdown_table, sections
 
 IMAGES = ROOT / "docs/images"
 BOOTSTRAPS = 2000
@@ -210,8 +210,8 @@ def _missing(missing: list[Cell]) -> str:
     return f"{len(missing)} attacks of the plan were not run:\n\n" + "\n".join(lines) + "\n"
 
 
-def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
-    """Return the page of these attacks; draws its plots beside it."""
+def page(done: dict[Cell, Path], missing: list[Cell], budget: int, reading: str = "") -> str:
+    """Return the page of these attacks and write its plots; `reading` is its hand-written part."""
     results = Results(done)
     parts = [INTRODUCTION.format(budget=budget, share=ENSEMBLE_SHARE)]
     if results.rows("methods"):
@@ -232,21 +232,14 @@ def page(done: dict[Cell, Path], missing: list[Cell], budget: int) -> str:
         parts += [ENSEMBLE, results.transfer_table("ensemble")]
     if results.rows("beta"):
         parts += [BETA, results.transfer_table("beta"), beta_plot(results)]
-    reading = ROOT / "docs/results-reading.md"
-    if reading.is_file():
-        parts += ["## What it says\n", reading.read_text(encoding="utf-8")]
+    if reading:
+        parts.append(f"## {READING}\n{reading}")
     return "\n".join([*parts, "## Not run\n", _missing(missing)])
-
-
-def _sections(page: str) -> dict[str, str]:
-    """Split a page at its headings of the second level; what comes first has the key ""."""
-    first, *others = page.split("\n## ")
-    return {"": first} | {text.split("\n")[0]: text for text in others}
 
 
 def renewed(page: str, part: str) -> str:
     """Return `page` with the sections that `part` has, a page of some tables alone."""
-    old, new = _sections(page), _sections(part)
+    old, new = sections(page), sections(part)
     for heading, text in new.items():
         if heading not in ("", "Not run"):  # these speak of the whole plan
             old[heading] = text.rstrip("\n") + "\n"
@@ -255,27 +248,31 @@ def renewed(page: str, part: str) -> str:
 
 INTRODUCTION = """# Results
 
-Written by `scripts/method-table`; run it again to go on or after a change. Every attack shows
-its surrogate {budget} pictures of 224 pixels, or several surrogates {share} times as many, all
-together, where a table does not say otherwise; all else is the preset's
-([attack](attack.md#methods)). Success in %, on 100 held-out `dome` views of the exported GLB on
-white, a mean over the row's attacks; \\* marks models that were attacked. The interval (95 %) is a
-bootstrap clustered by object; with three objects it is wide, and with one it knows the views alone.
+`scripts/method-table` writes the tables of this page. Run it again to continue, or after a
+change. Every attack shows its surrogate {budget} pictures of 224 pixels. Several surrogates
+together see {share} times as many, unless a table says otherwise. All other settings are those
+of the preset ([attack](attack.md#methods)). Success is in %, on 100 held-out `dome` views of
+the exported GLB on white, as a mean over the row's attacks; \\* marks models that were
+attacked. The interval (95 %) is a bootstrap clustered by object. With three objects it is wide;
+with one object it covers only the views.
 """
 THROUGH_LITE0 = """## Methods
 
-Through EfficientNet-Lite0 alone. "unseen": the mean over the five models that were not attacked.
+All attacks use EfficientNet-Lite0 as the only surrogate. "unseen" is the mean over the five
+models that were not attacked.
 """
 BY_OBJECT = "Mean success on the unseen models, by object:\n"
 CURVES = "The objective of `dual` over its steps:\n"
 LONGER = "## {share} times as many pictures\n\nOn one object, through EfficientNet-Lite0.\n"
-OTHER_PRESETS = "## Other presets\n\nOn one object: what each is for is another matter.\n"
+OTHER_PRESETS = (
+    "## Other presets\n\nOn one object. These presets serve other purposes than transfer.\n"
+)
 SECOND_TARGET = "## Another target: {target}\n"
 LEFT_OUT = """## One architecture left out
 
-The surrogates are one model of each of the three other architectures; the figure is the success on
-the one left out (EfficientNet-Lite: mean of Lite0, 1 and 2). They see {share} times as many
-pictures as a single one, all together.
+The surrogates are one model of each of the three other architectures. The figure is the success
+on the architecture left out (EfficientNet-Lite: mean of Lite0, 1 and 2). They see {share} times
+as many pictures as a single surrogate, all together.
 """
 ENSEMBLE = "## All four architectures as surrogates\n"
-BETA = "## Beta\n\n`dual` with the paper's objective, without floors: beta alone weighs.\n"
+BETA = "## Beta\n\n`dual` with the paper's objective and no floors: beta alone sets the balance.\n"

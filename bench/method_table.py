@@ -32,6 +32,7 @@ from method_plan import (
     plan,
     views_a_step,
 )
+from page import reading_of
 
 SEED = 1
 VIEWS = 100
@@ -160,7 +161,7 @@ def main() -> None:
         run_missing(table, cells, options.jobs, options.limit)
     done = {cell: table.folder(cell) for cell in cells if table.finished(cell)}
     missing = [cell for cell in cells if cell not in done]
-    page = method_report.page(done, missing, options.budget)
+    page = method_report.page(done, missing, options.budget, reading_of(options.page))
     if len(cells) < len(whole) and options.page.is_file():
         page = method_report.renewed(options.page.read_text(encoding="utf-8"), page)
     options.page.write_text(page, encoding="utf-8")

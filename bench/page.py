@@ -18,6 +18,24 @@ def write_section(name: str, text: str) -> None:
     PAGE.write_text(changed, encoding="utf-8")
 
 
+#: Heading of the section that a person writes; the programs keep it when they write a page again.
+READING = "What it says"
+
+
+def sections(page: str) -> dict[str, str]:
+    """Split a page at its second-level headings; the part before the first has the key ""."""
+    first, *others = page.split("\n## ")
+    return {"": first} | {text.split("\n")[0]: text for text in others}
+
+
+def reading_of(path: Path) -> str:
+    """Return the hand-written section of a page, "" if the page or the section is absent."""
+    if not path.is_file():
+        return ""
+    text = sections(path.read_text(encoding="utf-8")).get(READING, "")
+    return text.removeprefix(READING + "\n")
+
+
 def markdown_table(header: list[str], rows: list[list[str]]) -> str:
     """Format a table."""
     lines = [header, ["---"] * len(header), *rows]

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from method_plan import LITE0, ROOT, SHORT, VICTIMS
-from page import markdown_table
+from page import READING, markdown_table
 
 IMAGES = ROOT / "docs/images"
 TITLES = {"builtin": "built in", "mitsuba": "Mitsuba", "blender": "Blender", "meshlab": "MeshLab"}
@@ -114,8 +114,8 @@ def side_by_side(records: Records, path: Path) -> None:
 # ---- Page ---------------------------------------------------------------------------------
 
 
-def page(records: Records, lights: Lights, asked: int, steps: int) -> str:
-    """Return the page of these evaluations; draws its picture beside it."""
+def page(records: Records, lights: Lights, asked: int, steps: int, reading: str = "") -> str:
+    """Return the page of these evaluations and write its picture; `reading` is written by hand."""
     counts = {read(p)["views"]["count"] for done in records.values() for p in done.values()}
     views = " or ".join(map(str, sorted(counts))) or "no"
     parts = [INTRODUCTION.format(views=views)]
@@ -125,9 +125,8 @@ def page(records: Records, lights: Lights, asked: int, steps: int) -> str:
         parts.append("![Two views of each object in every renderer](images/renderers.jpg)\n")
     if any(paths for by_light in lights.values() for paths in by_light.values()):
         parts.append(light_section(lights, steps))
-    reading = ROOT / "docs/results-renderers-reading.md"
-    if reading.is_file():
-        parts += ["## What it says\n", reading.read_text(encoding="utf-8")]
+    if reading:
+        parts.append(f"## {READING}\n{reading}")
     short = {run: len(done) for run, done in records.items() if len(done) < asked}
     if short:
         lines = [f"- {run_name(run)}: {n} of {asked} rows are there" for run, n in short.items()]
@@ -137,15 +136,16 @@ def page(records: Records, lights: Lights, asked: int, steps: int) -> str:
 
 INTRODUCTION = """# Other renderers
 
-Written by `scripts/renderer-table`; run it again to go on or after a change. The exported GLB
-drawn by other programs from the same {views} held-out `dome` views; success in %, the accuracy on
-the clean file in parentheses; \\* marks models that were attacked, "unseen" is the mean of the
-others. With 20 views a figure knows itself to about 18 points each way. What lit and unlit mean in
-each program: [evaluation](evaluate.md#other-renderers).
+`scripts/renderer-table` writes the tables of this page. Run it again to continue, or after a
+change. Other programs render the exported GLB from the same {views} held-out `dome` views.
+Success is in %, with the accuracy on the clean file in parentheses; \\* marks models that were
+attacked, and "unseen" is the mean over the others. With 20 views, a figure is uncertain by
+about 18 points each way. [Evaluation](evaluate.md#other-renderers) says what lit and unlit mean
+in each program.
 """
 LIGHT = """## Lights during the attack
 
-Each object again, {steps} steps through Lite0 alone, without and with lights drawn for each picture
-of the attack (`attack.eot.light`).
+Each object was attacked again, in {steps} steps with Lite0 as the only surrogate, without and
+with random lights for each picture of the attack (`attack.eot.light`).
 
 """

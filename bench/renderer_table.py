@@ -21,6 +21,7 @@ from pathlib import Path
 import renderer_report
 import run_folders
 from method_plan import LITE0, ROOT, VICTIMS
+from page import reading_of
 
 RUNS = (ROOT / "runs/demo", ROOT / "runs/table/cells/methods/strong/soccer-ball-teapot")
 RENDERERS = ("builtin", "mitsuba", "blender", "meshlab")
@@ -172,7 +173,8 @@ def main() -> None:
                     for light in LIGHTS
                     for eval_ in [table.light_folder(run, light, options.light_steps) / "eval"]}
               for run in options.runs}  # fmt: skip
-    text = renderer_report.page(records, lights, len(rows), options.light_steps)
+    reading = reading_of(options.page)
+    text = renderer_report.page(records, lights, len(rows), options.light_steps, reading)
     options.page.write_text(text, encoding="utf-8")
     print(f"{sum(map(len, records.values()))} of {len(rows) * len(options.runs)}: {options.page}")
 

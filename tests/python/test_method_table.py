@@ -13,6 +13,7 @@ sys.path.insert(0, str(ROOT / "bench"))
 np = pytest.importorskip("numpy")
 
 import method_report  # noqa: E402
+import method_table  # noqa: E402
 from method_plan import ARCHITECTURES, METHODS, OBJECTS, OTHERS, Cell, plan  # noqa: E402
 from method_table import Table, run_missing  # noqa: E402
 
@@ -135,6 +136,21 @@ def test_the_page_marks_what_was_attacked_and_says_what_was_not_run(
     assert "| `texture` | 1 | 25\\* | 25 | 25 | 25 | 25 | 25 | 25 (" in page
     assert "| `strong` | 75 (" in page
     assert f"{len(cells) - 2} attacks of the plan were not run" in page
+
+
+def test_the_program_keeps_the_hand_written_section(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "results.md"
+    page.write_text("# Old\n\n## Methods\n\nold table\n\n## What it says\n\n- kept\n\n## Not run\n")
+    arguments = ["method_table.py", "--report-only", "--page", str(page), "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", arguments)
+    method_table.main()
+    text = page.read_text()
+    assert "\n## What it says\n\n- kept\n\n## Not run\n" in text
+    assert "old table" not in text
+    method_table.main()
+    assert page.read_text() == text
 
 
 def test_some_tables_leave_the_rest_of_the_page_as_it_is(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ sys.path.insert(0, str(ROOT / "bench"))
 Image = pytest.importorskip("PIL.Image")
 
 import renderer_report  # noqa: E402
+import renderer_table  # noqa: E402
 import run_folders  # noqa: E402
 from method_plan import VICTIMS  # noqa: E402
 from renderer_table import Condition, Table, conditions  # noqa: E402
@@ -89,6 +90,20 @@ def test_the_page_has_the_figures_and_says_what_is_missing(
     side = renderer_report.PICTURE_SIDE
     assert sheet.size == (2 * side, 2 * side + renderer_report.LABEL_ROWS)
     assert sheet.getpixel((side // 2, side // 2))[0] > 180
+
+
+def test_the_program_keeps_the_hand_written_section(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, page, row = make_run(tmp_path / "run"), tmp_path / "page.md", Condition("builtin", False)
+    write_record(run / "eval/builtin.json", row, run / "asset/adversarial.glb", 0.5)
+    page.write_text("# Old\n\nold table\n\n## What it says\n\n- kept\n")
+    arguments = ["renderer_table.py", str(run), "--report-only", "--light-steps", "0"]
+    arguments += ["--page", str(page), "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", arguments)
+    renderer_table.main()
+    assert "\n## What it says\n\n- kept\n\n## Not run\n" in page.read_text()
+    assert "old table" not in page.read_text()
 
 
 def test_runs_of_one_name_do_not_share_a_folder(tmp_path: Path) -> None:
