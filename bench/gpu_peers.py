@@ -1,13 +1,13 @@
-"""Our CUDA kernels against nvdiffrast and tiny-cuda-nn, and a whole attack against eager PyTorch.
+"""Compare our CUDA kernels with nvdiffrast and tiny-cuda-nn, and an attack with eager PyTorch.
 
     python bench/gpu_peers.py [--rounds 3] [--out FILE.md]
     python bench/gpu_peers.py --attack RUN [--surrogate resnet101] [--out FILE.md]
 
-The peers are no part of this project and never in its tree: build them from copies of your own and
-put them on PYTHONPATH; one that is missing is a line that says so. Ours runs as the program
-gpu_speed, a peer in this process; rounds alternate, a ratio is the median over rounds. --attack
-times the program on a run folder whose mesh is made, 64 views of 400 x 400 pixels a step, against
-the same step written in PyTorch's eager mode a view at a time, as the official code works.
+The peers are not part of this project. Build them from your own copies and put them on PYTHONPATH;
+a missing peer is reported in one line. Our kernels run in the program gpu_speed, a peer in this
+process. The rounds alternate, and a ratio is the median over the rounds. --attack times the program
+on a run folder that has its mesh, with 64 views of 400 x 400 pixels a step. It is compared with the
+same step in PyTorch's eager mode, one view at a time, as in the official code.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ GPU = "cuda"
 
 
 def sustained_ms(step: Callable[[], None]) -> float:
-    """Return milliseconds of one call, launched one after another: as gpu_speed takes them."""
+    """Return milliseconds of one call in a series of calls, measured as in gpu_speed."""
     for _ in range(CALLS):
         step()
     times = []
@@ -74,8 +74,9 @@ def nvdiffrast_step(mesh: dict, views: int, size: int) -> Callable[[], None]:
 
 
 def tiny_cuda_nn_step(compiled: bool) -> Callable[[], None]:
-    """Return tiny-cuda-nn's training step: hash grid, fused network 32-64-64-6, Adam. `compiled`:
-    as one kernel, compiled when it is first called, which its build may leave out.
+    """Return tiny-cuda-nn's training step: hash grid, fused network 32-64-64-6, Adam.
+
+    With `compiled` it is one kernel, compiled at the first call; a build may leave that out.
     """
     import tinycudann as tcnn
 
@@ -107,8 +108,8 @@ def tiny_cuda_nn_step(compiled: bool) -> Callable[[], None]:
 
 #: Numbers in the training step's hash grid: 16 levels of at most 2^19 entries of 2.
 PARAMETERS = 12_285_336
-#: What a step cannot do without, in bytes: as bench/peers.py counts a picture, and Adam's seven
-#: passes over the parameters beside the grid's look-ups.
+#: The least bytes of a step: a picture as bench/peers.py counts it; for training, the grid's
+#: look-ups and Adam's seven passes over the parameters.
 BYTES = {
     "colored_mesh 1x400": 236 * 400**2,
     "colored_mesh 8x512": 236 * 8 * 512**2,
@@ -121,14 +122,14 @@ NETWORK = 2 * 7.8e9
 
 
 def bytes_a_second() -> float:
-    """Return how many bytes a copy on the device reads and writes."""
+    """Return the bytes a second that a copy on the device reads and writes."""
     source = torch.rand(1 << 29, device=GPU)
     target = torch.empty_like(source)
     return 2 * source.nbytes / (1e-3 * sustained_ms(lambda: target.copy_(source)))
 
 
 def multiply_adds_a_second() -> float:
-    """Return what a large matrix product in TF32 does, as convolutions compute by default."""
+    """Return the rate of a large matrix product in TF32, the default of convolutions."""
     allowed, torch.backends.cuda.matmul.allow_tf32 = torch.backends.cuda.matmul.allow_tf32, True
     a = torch.rand(8192, 8192, device=GPU)
     seconds = 1e-3 * sustained_ms(lambda: a.mm(a))
@@ -190,14 +191,14 @@ def compare_kernels(rounds: int) -> str:
     header = ["against", "tt3d, ms", "peer, ms", "peer / tt3d", "share of the roof"]
     table = markdown_table(header, rows)
     table += f"\nThe roof, measured in the same run: a copy moves {roof / 1e12:.1f} TB/s.\n"
-    return table + "".join(f"\nNot here: {line}.\n" for line in missing)
+    return table + "".join(f"\nNot measured: {line}.\n" for line in missing)
 
 
 # ---- A whole attack ---------------------------------------------------------------------------
 
 
 def attack_seconds(run: Path, surrogate: str, steps: int, views: int, *options: str) -> float:
-    """Return how long the program's attack of so many steps takes, start included."""
+    """Return the seconds of the program's attack with `steps` steps, start-up included."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "run"
         shutil.copytree(run, copy)
@@ -212,16 +213,17 @@ def attack_seconds(run: Path, surrogate: str, steps: int, views: int, *options: 
 
 
 def pictures_a_second(run: Path, surrogate: str, *options: str) -> float:
-    """Return pictures a second of the program, its start subtracted."""
+    """Return the program's pictures a second, start-up excluded."""
     views, few, many = 64, 5, 45
     seconds = [attack_seconds(run, surrogate, n, views, *options) for n in (few, many)]
     return views * (many - few) / (seconds[1] - seconds[0])
 
 
 def eager_step() -> Callable[[], None]:
-    """Return one step of one view, as the official code goes about it: rendering at 800 x 800 with
-    nvdiffrast, colours by tiny-cuda-nn's grid and layers of torch, the picture halved, transforms,
-    ResNet-101, Adam. Its regularisers are left out.
+    """Return one step of one view, as in the official code but without its regularisers.
+
+    It renders at 800 x 800 with nvdiffrast, takes colours from tiny-cuda-nn's grid and layers of
+    torch, halves the picture, applies transforms, and runs ResNet-101 and Adam.
     """
     import nvdiffrast.torch as dr
     import tinycudann as tcnn

@@ -1,4 +1,4 @@
-"""The section "CUDA" of docs/benchmarks.md, out of what scripts/gpu-check measured.
+"""Write the section "CUDA" of docs/benchmarks.md from the results of scripts/gpu-check.
 
 python bench/gpu_report.py --gpu NAME --operators FILE [--run OPTIONS=RUN_DIR]...
     [--peers FILE...]
@@ -30,11 +30,15 @@ def demo_row(options: str, folder: Path) -> list[str]:
 def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--gpu", required=True, help="name and driver, as nvidia-smi says")
-    parser.add_argument("--cores", type=int, default=os.cpu_count(), help="of its machine")
-    parser.add_argument("--operators", type=Path, required=True, help="what gpu_speed printed")
+    parser.add_argument("--gpu", required=True, help="name and driver, as nvidia-smi prints them")
+    parser.add_argument(
+        "--cores", type=int, default=os.cpu_count(), help="CPU cores of the machine"
+    )
+    parser.add_argument("--operators", type=Path, required=True, help="the output of gpu_speed")
     parser.add_argument("--run", action="append", default=[], metavar="OPTIONS=RUN_DIR")
-    parser.add_argument("--peers", type=Path, nargs="*", default=[], help="from gpu_peers.py")
+    parser.add_argument(
+        "--peers", type=Path, nargs="*", default=[], help="the output of gpu_peers.py"
+    )
     options = parser.parse_args()
     parts = [
         f"Measured by `scripts/gpu-check` on: {options.gpu}; {options.cores} CPU cores.",

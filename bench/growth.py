@@ -1,7 +1,6 @@
-"""How the time of a step grows with pixels, faces, points and pictures: a plot for
-docs/benchmarks.md.
+"""Plot the time of a step over pixels, faces, points and pictures, for docs/benchmarks.md.
 
-    scripts/bench growth [--threads N]
+scripts/bench growth [--threads N]
 """
 
 import argparse
@@ -22,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build/release/bench"
 PICTURE = ROOT / "docs/images/growth.png"
 BATCHES = (1, 2, 4, 8, 16, 32)
-#: Benchmark, axis, and what a step is.
+#: For each benchmark, the label of the axis and the content of a step.
 KERNELS = {
     "growth_pixels": ("pixels a side", "49,928 faces drawn,\nforward and backward"),
     "growth_faces": ("faces", "400 x 400 pixels drawn,\nforward and backward"),
@@ -31,8 +30,9 @@ KERNELS = {
 
 
 def kernel_times(name: str, threads: int) -> tuple[list[int], list[float]]:
-    """Return sizes and milliseconds of a benchmark of kernel_bench. Each takes seconds: the first
-    call on a large picture maps its memory, which takes longer than later calls do.
+    """Return sizes and milliseconds of a benchmark of kernel_bench.
+
+    Each runs for two seconds, because the first call on a large picture also maps its memory.
     """
     done = subprocess.run(
         [BUILD / "kernel_bench", f"--benchmark_filter=^{name}/", "--benchmark_format=json",

@@ -1,4 +1,4 @@
-"""What scripts/method-table runs: objects, targets, and the attacks in the order of their worth."""
+"""The plan of scripts/method-table: objects, targets, and attacks, the most informative first."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,11 +8,11 @@ CAPTURES = ROOT.parent / "shared/data/captures"
 
 #: Objects and their ImageNet classes.
 OBJECTS = {"chicken": "hen", "siamese-cat": "284", "soccer-ball": "soccer ball"}
-#: Fixed before any attack was run; no object's look or name has to do with them.
+#: Fixed before any attack was run; unrelated to the appearance and name of the objects.
 TARGETS = ("teapot", "pineapple")
 
 LITE0 = "efficientnet_lite0"
-#: Models of each architecture, the one that stands for it as a surrogate first.
+#: Models of each architecture; the first one is its surrogate.
 ARCHITECTURES = {
     "EfficientNet-Lite": (LITE0, "efficientnet_lite1", "efficientnet_lite2"),
     "MobileNetV1": ("mobilenet_v1",),
@@ -20,32 +20,32 @@ ARCHITECTURES = {
     "SqueezeNet 1.1": ("squeezenet1_1",),
 }
 VICTIMS = tuple(model for family in ARCHITECTURES.values() for model in family)
-#: As columns are called.
+#: Column headings.
 SHORT = {
     "efficientnet_lite0": "Lite0", "efficientnet_lite1": "Lite1", "efficientnet_lite2": "Lite2",
     "mobilenet_v1": "MobileNetV1", "hardnet39ds": "HarDNet", "squeezenet1_1": "SqueezeNet",
 }  # fmt: skip
 
-#: The paper's table 1. All of the plan asks surrogates 160,000 times: some three hours, two cores.
+#: The paper's table 1. The whole plan shows surrogates 160,000 pictures: three hours, two cores.
 METHODS = ("texture", "mesh", "mlp", "grid", "dual", "dual-texture-only", "strong")
-#: What the rest is compared with, and what a second target is tried on.
+#: The methods to compare with; the second target uses only these.
 CORE = ("texture", "dual", "strong")
-#: The attacks that it builds on, on one object.
+#: Presets after other papers, run on one object.
 OTHERS = (
     "advturtle", "meshadv-shape", "meshadv-texture", "physical", "sticker", "full-coverage",
     "repeated", "triplanar",
 )  # fmt: skip
 BETAS = (100, 1000, 10000)
 
-#: Views a step: the program's default, and where the preset has another.
+#: Views a step, where a preset differs from the program's default of 6.
 VIEWS_A_STEP = {"strong": 3}
-#: Presets that show a picture to one of the surrogates, not to all (attack.ensemble = views).
+#: Presets that show each picture to one surrogate (attack.ensemble = views).
 DEALING = ("strong",)
-#: How many times as often as one surrogate several may be asked, all together.
+#: Pictures that several surrogates see together, relative to a single surrogate.
 ENSEMBLE_SHARE = 2
-#: The same where an architecture is left out; the plain attack that it is held to asks 13 times.
+#: The same where an architecture is left out. The plain attack it is compared with sees 13 times.
 LEFT_OUT_SHARE = 6
-#: Do attacks settle, and does more of the same overfit? These on one object, with more pictures.
+#: Methods run longer on one object, to see whether attacks converge and whether they overfit.
 LONGER = ("dual", "mesh")
 LONGER_SHARE = 4
 
@@ -57,7 +57,7 @@ def views_a_step(method: str) -> int:
 
 @dataclass(frozen=True)
 class Cell:
-    """One attack: its table, the row in it, and what the program is told."""
+    """One attack: its table, its row, and its settings."""
 
     table: str
     row: str
@@ -69,18 +69,18 @@ class Cell:
     share: int = 1
 
     def steps(self, budget: int) -> int:
-        """Return the steps in which the surrogates see at most as many pictures as they may."""
+        """Return the largest number of steps within the budget of pictures."""
         seen_by = 1 if self.method in DEALING else len(self.surrogates)
         return budget * self.share // (views_a_step(self.method) * seen_by)
 
     @property
     def name(self) -> str:
-        """The cell's folder."""
+        """The name of the cell's folder."""
         return f"{self.table}/{self.row}/{self.obj}-{self.target}".replace(" ", "_")
 
 
 def white_box(left_out: str) -> tuple[str, ...]:
-    """Return a model of each architecture but one; of all where none is named."""
+    """Return one model of each architecture except `left_out`; "" leaves none out."""
     return tuple(family[0] for name, family in ARCHITECTURES.items() if name != left_out)
 
 
@@ -101,7 +101,7 @@ def _leave_one_out(methods: tuple[str, ...], objects: tuple[str, ...], target: s
 
 
 def _betas(objects: tuple[str, ...], target: str) -> list[Cell]:
-    """The paper's objective: no floors, beta alone weighs."""
+    """The paper's objective: no floors, only beta."""
     return [
         Cell("beta", f"beta {beta}", "dual", o, target, settings={
             "attack.beta": str(beta), "attack.psnr_floor": "0", "attack.ssim_floor": "0",
@@ -123,14 +123,14 @@ def _ensemble(methods: tuple[str, ...], objects: tuple[str, ...], target: str) -
     ]
 
 
-#: Parts of the plan, each a section of the page.
+#: Parts of the plan; each is a section of the page.
 TABLES = (
     "methods", "longer", "other presets", "second target", "leave-one-out", "ensemble", "beta",
 )  # fmt: skip
 
 
 def plan(presets: tuple[str, ...], objects: tuple[str, ...]) -> list[Cell]:
-    """Return the cells of these presets, those first without which the table says least."""
+    """Return the cells of these presets, the most informative first."""
 
     def asked(*methods: str) -> tuple[str, ...]:
         return tuple(m for m in methods if m in presets)

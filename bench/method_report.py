@@ -1,4 +1,4 @@
-"""The page of scripts/method-table: tables and plots of the attacks that are finished."""
+"""The page of scripts/method-table: tables and plots of the finished attacks."""
 
 import csv
 import json
@@ -30,7 +30,7 @@ METHOD_ORDER = METHODS + OTHERS
 
 @dataclass
 class Score:
-    """What an attack's evaluation says; shares in [0,1]."""
+    """The evaluation of an attack; shares in [0,1]."""
 
     obj: str
     hits: dict[str, float]
@@ -50,8 +50,8 @@ def read_score(cell: Cell, folder: Path) -> Score:
 def interval(scores: list[Score], victims: tuple[str, ...]) -> tuple[float, float]:
     """Return the 95 % interval of the mean success over objects and victims.
 
-    A bootstrap clustered by object: objects are drawn with replacement, and the views of each of
-    their attacks anew from the success that was seen.
+    It is a bootstrap clustered by object: objects are drawn with replacement, and the views of
+    each of their attacks are drawn again from the observed success.
     """
     by_object = defaultdict(list)
     for score in scores:
@@ -86,7 +86,7 @@ class Results:
         self.scores = {cell: read_score(cell, folder) for cell, folder in done.items()}
 
     def rows(self, table: str) -> dict[str, list[Cell]]:
-        """Return a table's finished attacks by row: methods in the paper's order, others as run."""
+        """Return a table's finished attacks by row: methods in the paper's order, then others."""
         rows = defaultdict(list)
         own = [cell for cell in self.scores if cell.table == table]
         order = {method: i for i, method in enumerate(METHOD_ORDER)}
@@ -99,7 +99,7 @@ class Results:
         return [self.scores[c] for c in cells]
 
     def transfer_table(self, table: str) -> str:
-        """Surrogates and methods down, victims across, what was attacked marked with a star."""
+        """Return success by method and victim; a star marks attacked models."""
         header = ["method", "attacks", *(SHORT[v] for v in VICTIMS), "unseen", "PSNR", "SSIM"]
         lines = []
         for row, cells in self.rows(table).items():
@@ -115,7 +115,7 @@ class Results:
         return markdown_table(header, lines)
 
     def object_table(self, table: str) -> str:
-        """The same rows' mean success on unseen models, by object."""
+        """Return the mean success on unseen models by row and object."""
         objects = sorted({c.obj for c in self.scores if c.table == table})
         lines = []
         for row, cells in self.rows(table).items():
@@ -128,7 +128,7 @@ class Results:
         return markdown_table(["method", *objects], lines)
 
     def left_out_table(self) -> str:
-        """Success on the architecture that was left out, by method."""
+        """Return the success on the architecture left out, by method."""
         by_method = defaultdict(dict)
         for row, cells in self.rows("leave-one-out").items():
             method, left_out = row.split(" without ")
@@ -163,7 +163,7 @@ def _save(figure: object, name: str) -> str:
 
 
 def beta_plot(results: Results) -> str:
-    """Draw success and PSNR against beta; returns the picture's reference."""
+    """Plot success and PSNR against beta; return the Markdown of the picture."""
     import matplotlib.pyplot as plt
 
     rows = results.rows("beta")
@@ -181,7 +181,7 @@ def beta_plot(results: Results) -> str:
 
 
 def curves_plot(results: Results) -> str:
-    """Draw the objective of the dual attacks over the steps, smoothed over a tenth of them."""
+    """Plot the objective of the dual attacks over the steps, smoothed over a tenth of them."""
     import matplotlib.pyplot as plt
 
     figure, axis = plt.subplots(figsize=(5.2, 3.2))
@@ -238,10 +238,10 @@ def page(done: dict[Cell, Path], missing: list[Cell], budget: int, reading: str 
 
 
 def renewed(page: str, part: str) -> str:
-    """Return `page` with the sections that `part` has, a page of some tables alone."""
+    """Return `page` with its sections replaced by those of `part`, a page of some tables."""
     old, new = sections(page), sections(part)
     for heading, text in new.items():
-        if heading not in ("", "Not run"):  # these speak of the whole plan
+        if heading not in ("", "Not run"):  # these refer to the whole plan
             old[heading] = text.rstrip("\n") + "\n"
     return "\n## ".join(old.values())
 

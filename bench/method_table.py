@@ -1,13 +1,13 @@
-"""The attacks of the literature at equal budgets: runs what is missing, writes docs/results.md.
+"""Compare the attacks of the literature at equal budgets: run what is missing, write the page.
 
     scripts/method-table [--presets NAME...] [--objects NAME...] [--tables NAME...]
                          [--budget PASSES] [--out FOLDER] [--limit SECONDS] [--jobs COUNT]
                          [--report-only]
 
-Each attack asks its surrogates equally often, all together; several twice as often as one. Objects
-are reconstructed once and shared. A finished attack is read, not run again, and an interrupted one
-goes on; the page is written from what there is and says what is missing. With --tables, only these
-sections of the page are renewed: after a change of one preset, the others' attacks still stand.
+The page is docs/results.md. In all attacks the surrogates together see the same number of
+pictures; several surrogates see twice as many as one. Each object is reconstructed once and shared.
+A finished attack is read, not run again, and an interrupted one resumes. The page has the finished
+attacks and lists the missing ones. --tables renews only the named sections of the page.
 """
 
 import argparse
@@ -43,7 +43,7 @@ class Table:
     """The folder of the attacks, and the program that fills it."""
 
     def __init__(self, out: Path, program: Path, budget: int) -> None:
-        """Remember where everything is; `budget` is how often an attack may ask its surrogate."""
+        """Store the paths; `budget` is the number of pictures that one surrogate may see."""
         self.out, self.program, self.budget = out, program, budget
 
     def folder(self, cell: Cell) -> Path:
@@ -51,7 +51,7 @@ class Table:
         return self.out / "cells" / cell.name
 
     def finished(self, cell: Cell) -> bool:
-        """Whether the cell has its record, of an attack with this budget."""
+        """Return whether the cell has a record of an attack with this budget."""
         folder = self.folder(cell)
         if not (folder / RECORD).is_file():
             return False
@@ -94,16 +94,16 @@ class Table:
 
 
 def run_missing(table: Table, cells: list[Cell], jobs: int, limit: float) -> None:
-    """Run the cells that are not finished, `jobs` at once; begin none after `limit` seconds.
+    """Run the unfinished cells, `jobs` at once; start none after `limit` seconds.
 
-    An attack runs on one thread: two side by side are done sooner than one after the other on two
-    threads each, and what they give does not depend on the machine's number of cores.
+    An attack uses one thread. Two attacks side by side finish sooner than two in sequence on two
+    threads each, and the results do not depend on the machine's number of cores.
     """
     todo = [cell for cell in cells if not table.finished(cell)]
     for obj in dict.fromkeys(cell.obj for cell in todo):
         table.prepare(obj)
     end = time.monotonic() + limit
-    stopped = threading.Event()  # by a failure or Ctrl-C: no further attack begins
+    stopped = threading.Event()  # set by a failure or Ctrl-C: no further attack starts
 
     def run(cell: Cell) -> None:
         start = time.monotonic()
@@ -132,17 +132,19 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--presets", nargs="+", default=METHODS + OTHERS, metavar="NAME")
     parser.add_argument("--objects", nargs="+", default=tuple(OBJECTS), choices=OBJECTS)
     parser.add_argument("--tables", nargs="+", default=TABLES, choices=TABLES, metavar="NAME",
-                        help="run and renew these alone: " + ", ".join(TABLES))  # fmt: skip
+                        help="run and renew only these: " + ", ".join(TABLES))  # fmt: skip
     parser.add_argument("--budget", type=int, default=1200,
-                        help="pictures that a surrogate sees in an attack")  # fmt: skip
+                        help="pictures that one surrogate sees in an attack")  # fmt: skip
     parser.add_argument("--out", type=Path, default=ROOT / "runs/table")
     parser.add_argument("--program", type=Path, default=ROOT / "build/release/tt3d")
     parser.add_argument("--page", type=Path, default=ROOT / "docs/results.md")
     parser.add_argument("--limit", type=float, default=float("inf"),
-                        help="seconds after which no further attack is begun")  # fmt: skip
+                        help="seconds after which no further attack starts")  # fmt: skip
     parser.add_argument("--jobs", type=int, default=min(os.cpu_count() or 1, 4),
-                        help="attacks at once, each on one thread")  # fmt: skip
-    parser.add_argument("--report-only", action="store_true", help="run nothing, write the page")
+                        help="attacks in parallel, each on one thread")  # fmt: skip
+    parser.add_argument(
+        "--report-only", action="store_true", help="run no attack, only write the page"
+    )
     options = parser.parse_args()
     if options.budget < 100:
         parser.error("--budget: expected at least 100")

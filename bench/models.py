@@ -1,10 +1,10 @@
-"""Classifiers: tt3d against PyTorch's eager mode, forward and backward, in alternating runs.
+"""Compare classifiers in tt3d with PyTorch's eager mode, forward and backward.
 
     scripts/bench models [--batch 8] [--threads N] [--pairs 15] [--loading] [NAME...]
 
-Same machine, threads, batch and network (random weights). A pair is one run of each, one right
-after the other; the ratio of a pair cancels what the rest of the machine is doing at the time.
-Rewrites its sections of docs/benchmarks.md.
+Machine, threads, batch and network (random weights) are the same. A pair is one run of each, in
+direct succession; its ratio is little affected by other load on the machine. The program rewrites
+its sections of docs/benchmarks.md.
 """
 
 import argparse
@@ -48,7 +48,7 @@ class Row:
 
 
 class Worker:
-    """The C++ side: a process that runs once for every line it is sent."""
+    """The C++ side: a process that runs one pass for each line sent to it."""
 
     def __init__(self, archive: Path, batch: int, threads: int) -> None:
         """Start the process and wait until it has loaded the package."""
@@ -76,10 +76,10 @@ class Worker:
 
 
 class Eager:
-    """PyTorch's side: the network as torchvision and timm build it."""
+    """PyTorch's side: the network that torchvision or timm builds."""
 
     def __init__(self, network: torch.nn.Module, size: tuple[int, int], batch: int) -> None:
-        """Take a network and make it a batch of noise."""
+        """Store the network and make a batch of noise."""
         self.network = network.eval().requires_grad_(False)
         self.images = torch.rand(batch, 3, *size)
 
@@ -103,7 +103,7 @@ def package(name: str) -> tuple[Path, torch.nn.Module, tuple[int, int]]:
 
 
 def compare(name: str, options: argparse.Namespace) -> Row:
-    """Run one network on both sides in turns."""
+    """Run one network on both sides, in alternation."""
     archive, network, size = package(name)
     eager = Eager(network, size, options.batch)
     worker = Worker(archive, options.batch, options.threads)
@@ -167,7 +167,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
     parser.add_argument("--pairs", type=int, default=15)
-    parser.add_argument("--loading", action="store_true", help="loading alone")
+    parser.add_argument("--loading", action="store_true", help="measure only loading")
     options = parser.parse_args()
     if options.loading:
         options.names = ()

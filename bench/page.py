@@ -1,4 +1,4 @@
-"""What the pages that benchmarks write are made of: sections of docs/benchmarks.md, tables."""
+"""Helpers for the pages that benchmarks write: sections and tables."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ PAGE = ROOT / "docs/benchmarks.md"
 
 
 def write_section(name: str, text: str) -> None:
-    """Put `text` between the marks of section `name`; the page must have them."""
+    """Write `text` between the marks of section `name`, which docs/benchmarks.md must have."""
     begin, end = f"<!-- bench {name} -->\n", f"\n<!-- end of bench {name} -->"
     pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
     page = PAGE.read_text(encoding="utf-8")
@@ -37,13 +37,13 @@ def reading_of(path: Path) -> str:
 
 
 def markdown_table(header: list[str], rows: list[list[str]]) -> str:
-    """Format a table."""
+    """Return a Markdown table."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def processor() -> str:
-    """Return the processor's name and its widest vectors, which the kernels choose by."""
+    """Return the processor's name and its widest vector instructions."""
     lines = dict(
         (part.strip() for part in line.split(":", 1))
         for line in Path("/proc/cpuinfo").read_text().splitlines()

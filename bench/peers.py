@@ -1,10 +1,10 @@
-"""Renderers and kernels against their peers, forward and backward, in turns; and against what the
-machine can do at most.
+"""Compare renderers and kernels with their peers and with the machine's limits.
 
-DEODR draws coloured faces, Mitsuba 3 (llvm_ad_rgb) a textured emitter, both the same triangles as
-tt3d from the same camera at 400 x 400; a rasteriser and a hash encoding are compared with plain
-tensor operations. tt3d runs as the program kernel_bench, the peer in a process of its own; rounds
-alternate, and a ratio is the median over rounds. Rewrites its section of docs/benchmarks.md.
+All times are for forward and backward. DEODR draws coloured faces, Mitsuba 3 (llvm_ad_rgb) a
+textured emitter. Both draw the same triangles as tt3d from the same camera at 400 x 400. The
+rasteriser and the hash encoding are also compared with plain tensor operations. tt3d runs as the
+program kernel_bench, the peer in its own process. The rounds alternate, and a ratio is the median
+over the rounds. The program rewrites its section of docs/benchmarks.md.
 
     scripts/bench peers [--rounds 7] [--threads N]
 """
@@ -117,12 +117,12 @@ def deodr_step(mesh: dict[str, np.ndarray]) -> Callable[[], None]:
         scene.render_backward(2 * picture)
 
     if not 0.1 < (scene.render(camera).sum(2) > 0).mean() < 0.9:
-        sys.exit("peers: DEODR does not see the object")
+        sys.exit("peers: DEODR's picture does not show the object")
     return step
 
 
 def find_llvm() -> str | None:
-    """Return the LLVM library that Mitsuba compiles with; older ones than 17 die on AVX-512."""
+    """Return the newest LLVM library; Mitsuba with one older than 17 crashes on AVX-512."""
     if chosen := os.environ.get("DRJIT_LIBLLVM_PATH"):
         return chosen
     found = sorted(Path("/usr/lib/x86_64-linux-gnu").glob("libLLVM.so.*"))
@@ -130,10 +130,10 @@ def find_llvm() -> str | None:
 
 
 def mitsuba_step(mesh: dict[str, np.ndarray], folder: Path) -> Callable[[], None] | None:
-    """Return a step of Mitsuba: what a textured emitter shows, gradient to the texture."""
+    """Return a step of Mitsuba: render a textured emitter, gradient to the texture."""
     library = find_llvm()
     if library is None:
-        print("peers: no LLVM for Mitsuba, run: apt-get install libllvm19", file=sys.stderr)
+        print("peers: Mitsuba needs LLVM; run: apt-get install libllvm19", file=sys.stderr)
         return None
     os.environ["DRJIT_LIBLLVM_PATH"] = library
     import drjit
@@ -150,12 +150,12 @@ def mitsuba_step(mesh: dict[str, np.ndarray], folder: Path) -> Callable[[], None
     values.update()
     surface.write_ply(str(folder / "mesh.ply"))
     texels = np.random.default_rng(1).random((512, 512, 3), dtype=np.float32)
-    looks = mitsuba.ScalarTransform4f().look_at([0, -DISTANCE, 0], [0, 0, 0], [0, 0, 1])
+    to_world = mitsuba.ScalarTransform4f().look_at([0, -DISTANCE, 0], [0, 0, 0], [0, 0, 1])
     scene = mitsuba.load_dict({
         "type": "scene",
         "integrator": {"type": "prb", "max_depth": 1},  # emission alone
         "sensor": {
-            "type": "perspective", "fov": float(np.rad2deg(FIELD_OF_VIEW)), "to_world": looks,
+            "type": "perspective", "fov": float(np.rad2deg(FIELD_OF_VIEW)), "to_world": to_world,
             "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}},
             "sampler": {"type": "independent", "sample_count": 1},
         },
@@ -178,7 +178,7 @@ def mitsuba_step(mesh: dict[str, np.ndarray], folder: Path) -> Callable[[], None
         drjit.sync_thread()
 
     if not 0.1 < (np.array(mitsuba.render(scene, spp=1)).sum(2) > 0).mean() < 0.9:
-        sys.exit("peers: Mitsuba does not see the object")
+        sys.exit("peers: Mitsuba's picture does not show the object")
     return step
 
 
@@ -186,8 +186,8 @@ def mitsuba_step(mesh: dict[str, np.ndarray], folder: Path) -> Callable[[], None
 
 PIXELS = SIZE * SIZE
 POINTS = 1 << 18
-#: What a step cannot do without: bytes that every operator reads or writes once (rast 16, colours
-#: 12 and UVs 8 bytes a pixel, derivatives 16), or multiply-adds.
+#: The least work of a step: multiply-adds, or the bytes that every operator reads or writes once
+#: (rast 16, colours 12, UVs 8 and derivatives 16 bytes a pixel).
 WORK = {
     "colored_mesh": ("bytes", 236 * PIXELS),
     "textured_mesh": ("bytes", 180 * PIXELS + 2 * 12 * 512 * 512),
@@ -196,10 +196,10 @@ WORK = {
     "mlp_ours": ("multiply-adds", 3 * (35 * 64 + 64 * 64 + 64 * 6) * (1 << 17)),
 }
 LEFT = {
-    "colored_mesh": "triangles of a few pixels: setting one up costs more than its pixels",
-    "textured_mesh": "the same, and texels that lie apart",
+    "colored_mesh": "triangles cover a few pixels; setting one up costs more than drawing it",
+    "textured_mesh": "the same, and the texels are far apart in memory",
     "hash_encode_ours": "a cache line of 64 bytes is fetched for each entry of 8",
-    "mlp_ours": "the loops are half of it; the rest is fresh memory and the graph around them",
+    "mlp_ours": "half is the loops; the rest is new memory and the autograd graph",
 }  # fmt: skip
 
 
@@ -232,7 +232,7 @@ class Row:
 def compare(
     label: str, name: str, threads: int, mesh: Path, peer: Callable[[], float], rounds: int
 ) -> Row:
-    """Return a row: rounds in turns, medians."""
+    """Return a row: medians over alternating rounds."""
     pairs = [(time_of_ours(name, mesh, threads), peer()) for _ in range(rounds)]
     ratio = statistics.median(b / a for a, b in pairs)
     print(f"{label}: {ratio:.2f}x", file=sys.stderr, flush=True)
@@ -285,7 +285,7 @@ def measure(options: argparse.Namespace, folder: Path) -> list[Row]:
 
 
 def table(rows: list[Row], every: int) -> str:
-    """Return the rows and what they are of the machine's limits, as Markdown."""
+    """Return the rows, each with its share of the machine's limits, as Markdown."""
     limits = {threads: roofs(threads) for threads in (1, every)}
     lines = [
         "| against | threads | tt3d, ms | peer, ms | peer / tt3d | share of the roof |",
@@ -301,7 +301,7 @@ def table(rows: list[Row], every: int) -> str:
     lines += ["", "The roof, measured in the same run: " + "; ".join(
         f"{n} thread{'s' if n > 1 else ''}: {v['bytes'] / 1e9:.1f} GB/s, "
         f"{v['multiply-adds'] / 1e9:.0f} G multiply-adds/s" for n, v in limits.items()
-    ) + ". What is left:", ""]  # fmt: skip
+    ) + ". Where the rest goes:", ""]  # fmt: skip
     lines += [f"- {name}: {why}." for name, why in LEFT.items()]
     return "\n".join(lines)
 

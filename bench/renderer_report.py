@@ -9,7 +9,7 @@ from page import READING, markdown_table
 
 IMAGES = ROOT / "docs/images"
 TITLES = {"builtin": "built in", "mitsuba": "Mitsuba", "blender": "Blender", "meshlab": "MeshLab"}
-PICTURE_SIDE = 170  # pixels, of one view in the side-by-side
+PICTURE_SIDE = 170  # pixels, of one view in the side-by-side picture
 LABEL_ROWS = 18
 
 Records = dict[Path, dict[Any, Path]]
@@ -22,7 +22,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def run_name(run: Path) -> str:
-    """Name a run's folder of evaluations, different for runs of one name."""
+    """Return the name of a run's evaluations; it includes the parent folder, to be unique."""
     return f"{run.parent.name}-{run.name}"
 
 
@@ -51,7 +51,7 @@ def cells(record: dict[str, Any], seen: list[str]) -> list[str]:
 
 
 def renderer_title(record: dict[str, Any]) -> str:
-    """Return a renderer's name and version; ours has the program's."""
+    """Return a renderer's name and version; the built-in one has no version of its own."""
     renderer = record["renderer"]
     title = TITLES[renderer["name"]]
     return title if renderer["name"] == "builtin" else f"{title} {renderer['version']}"
@@ -90,7 +90,7 @@ def light_section(lights: Lights, steps: int) -> str:
 
 
 def side_by_side(records: Records, path: Path) -> None:
-    """Draw the runs' first views, a column a renderer."""
+    """Write a picture of the runs' first views, a column for each renderer."""
     from PIL import Image, ImageDraw
 
     columns = max((list(r) for r in records.values()), key=len)

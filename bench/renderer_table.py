@@ -1,14 +1,14 @@
-"""Attacked objects in other renderers: runs what is missing, writes docs/results-renderers.md.
+"""Score attacked objects in other renderers: run what is missing, write the page.
 
     scripts/renderer-table [RUN...] [--renderers NAME...] [--views N] [--light-steps N]
                            [--out FOLDER] [--report-only]
 
-RUN is the folder of a finished run (default: the demo's, and a ball of scripts/method-table). Each
-renderer scores the run's exported files from the same cameras, without and with light. Then each
-run's object is attacked shortly, once with lights drawn during the attack (`attack.eot.light`) and
-once without, and both are scored under Mitsuba's and MeshLab's light.
+The page is docs/results-renderers.md. RUN is the folder of a finished run (default: the demo, and a
+ball of scripts/method-table). The run's exported files are scored in each renderer from the same
+cameras, without and with light. Then each run's object is attacked in a few steps, once with random
+lights (`attack.eot.light`) and once without. Both are scored under Mitsuba's and MeshLab's light.
 
-A finished evaluation is read, not run again; the page says what is missing.
+A finished evaluation is read, not run again. The page lists what is missing.
 """
 
 import argparse
@@ -26,35 +26,35 @@ from page import reading_of
 RUNS = (ROOT / "runs/demo", ROOT / "runs/table/cells/methods/strong/soccer-ball-teapot")
 RENDERERS = ("builtin", "mitsuba", "blender", "meshlab")
 LIGHTS = ("0", "0.5")  # attack.eot.light
-LIGHT_SAMPLES = "16"  # rays a pixel where the attacks with lights are scored
-PICTURES = 2  # views of the side-by-side
+LIGHT_SAMPLES = "16"  # rays a pixel when the attacks with lights are scored
+PICTURES = 2  # views in the side-by-side picture
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A renderer, with its light or without."""
+    """A renderer, lit or unlit."""
 
     renderer: str
     lit: bool
 
     @property
     def name(self) -> str:
-        """As files are called."""
+        """The name used in file names."""
         return self.renderer + ("-lit" if self.lit else "")
 
     @property
     def options(self) -> list[str]:
-        """For the program."""
+        """The options for the program."""
         return ["--renderer", self.renderer, *(["--lit"] if self.lit else [])]
 
 
-#: What scores the attacks with and without lights.
+#: The conditions that score the attacks with and without lights.
 LIGHT_SCORERS = tuple(Condition(*c) for c in (("builtin", False), ("mitsuba", True),
                                               ("meshlab", True)))  # fmt: skip
 
 
 def conditions(renderers: tuple[str, ...]) -> list[Condition]:
-    """Return the table's rows, unlit first; the built-in renderer knows no light."""
+    """Return the table's rows, unlit first; the built-in renderer has no lit row."""
     unlit = [Condition(r, False) for r in renderers]
     return unlit + [Condition(r, True) for r in renderers if r != "builtin"]
 
@@ -63,7 +63,7 @@ class Table:
     """The folder of the evaluations, and the program that fills it."""
 
     def __init__(self, out: Path, program: Path, views: int) -> None:
-        """Remember where everything is."""
+        """Store the paths."""
         self.out, self.program, self.views = out, program, views
 
     def record(self, run: Path, condition: Condition) -> Path:
@@ -71,7 +71,7 @@ class Table:
         return self.out / renderer_report.run_name(run) / f"{condition.name}.json"
 
     def finished(self, run: Path, condition: Condition) -> bool:
-        """Whether the evaluation is there, of the asset as it is now and with as many views."""
+        """Return whether the evaluation exists for the present asset and number of views."""
         path = self.record(run, condition)
         if not path.is_file():
             return False
@@ -82,7 +82,7 @@ class Table:
         )
 
     def score(self, run: Path, condition: Condition) -> None:
-        """Evaluate, and draw the views of the side-by-side."""
+        """Evaluate, and render the views of the side-by-side picture."""
         own = json.loads((run / "eval/builtin.json").read_text(encoding="utf-8"))
         out, asset = self.record(run, condition), run / "asset/adversarial.glb"
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ class Table:
         return self.out / f"light/{renderer_report.run_name(run)}-{light}-{steps}"
 
     def attack_with_light(self, run: Path, light: str, steps: int) -> None:
-        """Attack the run's object with these lights, and score it without light and with."""
+        """Attack the run's object with these lights, and score it unlit and lit."""
         folder = self.light_folder(run, light, steps)
         own = json.loads((run / "eval/builtin.json").read_text(encoding="utf-8"))
         target, true_class = (str(own[key]["index"]) for key in ("target", "true_class"))
@@ -113,7 +113,7 @@ class Table:
             run_folders.tt3d(self.program, "bake", folder, "--set", "bake.resolution=1024")
         for condition in LIGHT_SCORERS:
             out = folder / f"eval/{condition.name}.json"
-            # Under light the clean object's accuracy is the run's own: half the pictures suffice.
+            # Lit clean accuracy is in the run's own records, so the clean pictures are not needed.
             clean = [] if condition.lit else ["--clean", folder / "asset/clean.glb"]
             samples = ["--samples", LIGHT_SAMPLES] if condition.lit else []
             if not out.is_file():
@@ -134,7 +134,9 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=ROOT / "runs/renderers")
     parser.add_argument("--program", type=Path, default=ROOT / "build/release/tt3d")
     parser.add_argument("--page", type=Path, default=ROOT / "docs/results-renderers.md")
-    parser.add_argument("--report-only", action="store_true", help="run nothing, write the page")
+    parser.add_argument(
+        "--report-only", action="store_true", help="run nothing, only write the page"
+    )
     options = parser.parse_args()
     for run in options.runs:
         if not (run / "eval/builtin.json").is_file():
@@ -143,7 +145,7 @@ def parse_arguments() -> argparse.Namespace:
 
 
 def fill(table: Table, run: Path, rows: list[Condition]) -> None:
-    """Score a run in all renderers; one that fails is said and left out."""
+    """Score a run in all renderers; a failure is printed and left out of the page."""
     for row in rows:
         if table.finished(run, row):
             continue

@@ -1,4 +1,4 @@
-"""What the tables share: the program, and run folders that begin with another run's object."""
+"""Helpers of the tables: run the program, and start a run folder from another run's object."""
 
 import hashlib
 import json
@@ -10,7 +10,7 @@ from method_plan import CAPTURES
 
 
 def tt3d(program: Path, *arguments: str | Path, threads: int = 0) -> None:
-    """Run the program quietly, with the shared models to be found; fail as it does."""
+    """Run the program without output, with the shared models on its path; raise if it fails."""
     models = f"{CAPTURES.parent / 'models'}:{os.environ.get('TT3D_MODELS', '')}"
     share = ("--threads", str(threads)) if threads else ()
     subprocess.run([program, *map(str, arguments), "-q", *share], check=True,
@@ -19,7 +19,7 @@ def tt3d(program: Path, *arguments: str | Path, threads: int = 0) -> None:
 
 
 def share_object(obj: Path, folder: Path) -> None:
-    """Begin a run folder that has another run's field and mesh."""
+    """Make a run folder that uses the field and mesh of another run."""
     if (folder / "run.json").is_file():
         return
     folder.mkdir(parents=True, exist_ok=True)
@@ -32,5 +32,5 @@ def share_object(obj: Path, folder: Path) -> None:
 
 
 def sha256(path: Path) -> str:
-    """Return a file's checksum as records have it."""
+    """Return a file's SHA-256 as hex, the form that records use."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,10 +1,11 @@
-"""The share of an attack step that is not the classifier.
+"""Measure the share of an attack step that is outside the classifier.
 
     scripts/bench step [--run RUN] [--rounds 5]
 
-Times steps of the attack of the demo's setting on a run that has its mesh (default: runs/demo),
-through EfficientNet-Lite0 alone, and inside them the classifier's forward and backward pass, by the
-program step_bench. Rewrites the section between the marks in docs/benchmarks.md.
+RUN is a run folder that has its mesh (default: runs/demo). The program step_bench attacks it with
+the demo's settings and EfficientNet-Lite0 as the only surrogate. It times the steps and, inside
+them, the classifier's forward and backward passes. This script rewrites its section of
+docs/benchmarks.md.
 """
 
 import argparse

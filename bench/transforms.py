@@ -1,8 +1,8 @@
-"""docs/images/transforms.jpg: what each transform does, by strips of examples/show_transforms.
+"""Make docs/images/transforms.jpg, which shows each transform, with examples/show_transforms.
 
 .venv/bin/python bench/transforms.py build/examples/show_transforms ASSET.glb [PHOTOGRAPHS]
 
-Without photographs, drawn patterns stand in for them.
+Without PHOTOGRAPHS, the program draws patterns in their place.
 """
 
 import math
@@ -23,7 +23,7 @@ ROW, LABEL, SHARE = 64, 176, 2
 
 
 def sheet(folder: Path) -> Image.Image:
-    """Return the strips with their names, in two columns."""
+    """Return one sheet with the strips and their names, in two columns."""
     names = [name for name in ORDER if (folder / f"{name}.png").exists()]
     rows = (len(names) + SHARE - 1) // SHARE
     strips = [Image.open(folder / f"{name}.png") for name in names]
@@ -38,7 +38,7 @@ def sheet(folder: Path) -> Image.Image:
 
 
 def draw_patterns(folder: Path) -> str:
-    """Draw what stands in for photographs: waves of other colours, directions and widths."""
+    """Draw patterns in place of photographs: waves of various colours, directions and widths."""
     folder.mkdir()
     for i in range(6):
         picture = Image.new("RGB", (160, 160))
