@@ -1,1 +1,1 @@
-"""Python helpers of tt3d: exporters, drivers of other renderers, unwrapping."""
+"""Python tools of tt3d: model exporters, drivers of other renderers, unwrapping, print checks."""

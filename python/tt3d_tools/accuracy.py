@@ -1,4 +1,4 @@
-"""Top-1 and top-5 of a network in PyTorch on photographs named by WordNet id."""
+"""Measure top-1 and top-5 accuracy of a network on photographs named by WordNet id."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ WNIDS = Path(__file__).resolve().parents[2] / "data" / "imagenet1k.tsv"
 
 
 def load_picture(path: Path, spec: ModelSpec) -> np.ndarray:
-    """Read, resize and crop a photograph as a card says, with Pillow; [H,W,3] in [0,1]."""
+    """Read, resize and crop a photograph by the card's rule, with Pillow; [H,W,3] in [0,1]."""
     height, width = spec.input_size
     image = Image.open(path).convert("RGB")
     short, filters = min(image.size), Image.Resampling
@@ -28,12 +28,12 @@ def _pictures(folder: Path) -> list[tuple[Path, int]]:
     index = {line.split("\t")[1]: int(line.split("\t")[0]) for line in lines}
     found = [(p, index[p.stem]) for p in sorted(folder.iterdir()) if p.stem in index]
     if not found:
-        raise WeightsError(f"{folder}: holds no photographs named by WordNet id")
+        raise WeightsError(f"{folder}: has no photographs named by WordNet id")
     return found
 
 
 def measure(spec: ModelSpec, folder: Path, batch: int = 16) -> dict[str, float | int | None]:
-    """Return top1, top5 and n of an ImageNet-1k network."""
+    """Return top1, top5 and n (the number of photographs) of an ImageNet-1k network."""
     pictures = _pictures(folder)
     model = spec.model.eval()
     mean, std = (torch.tensor(v).view(1, 3, 1, 1) for v in (spec.mean, spec.std))

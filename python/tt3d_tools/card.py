@@ -1,7 +1,7 @@
 """Write a card for an archive that someone else exported.
 
-`python -m tt3d_tools.card FILE.pt2 --mean ... --std ... --size ...`. The archive is not opened
-in Python (its sample inputs are a pickle), so the card has no probe; `tt3d model check` reads
+`python -m tt3d_tools.card FILE.pt2 --mean ... --std ... --size ...`. Python does not open the
+archive, because its sample inputs are a pickle. So the card has no probe. `tt3d model check` reads
 the archive and compares the number of classes with the labels.
 """
 
@@ -16,7 +16,7 @@ from tt3d_tools.package import card_text, file_sha256, write_text_atomic
 
 
 def make_card(archive: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Return the card of `archive` from the command line's values."""
+    """Return the card of `archive` with the values of the command line."""
     height, width = (options.size * 2)[:2]
     return {
         "name": options.name or archive.stem,
@@ -37,11 +37,11 @@ def make_card(archive: Path, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m tt3d_tools.card", description=__doc__)
-    parser.add_argument("archive", type=Path, help="the .pt2 file; the card goes beside it")
+    parser.add_argument("archive", type=Path, help="the .pt2 file; the card is written beside it")
     parser.add_argument("--architecture", default="unknown")
-    parser.add_argument("--force", action="store_true", help="replace a card that is there")
+    parser.add_argument("--force", action="store_true", help="replace an existing card")
     add_card_options(parser, required=True)
     options = parser.parse_args()
     archive: Path = options.archive
@@ -50,7 +50,7 @@ def main() -> int:
         return 2
     card = archive.with_suffix(".json")
     if card.exists() and not options.force:
-        print(f"error: {card}: exists; --force replaces it", file=sys.stderr)
+        print(f"error: {card}: exists already; --force replaces it", file=sys.stderr)
         return 2
     write_text_atomic(card, card_text(make_card(archive, options)))
     print(f"wrote {card}; check it with: tt3d model check {archive}")

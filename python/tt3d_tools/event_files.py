@@ -1,9 +1,9 @@
-"""TensorBoard event files of an attack's curves.
+"""Write TensorBoard event files of an attack's curves.
 
     python -m tt3d_tools.event_files RUN [--out FOLDER]
 
-Reads RUN/attack/curves.csv and epochs.csv, writes RUN/attack/tensorboard. Needs the package of
-requirements/tensorboard.txt.
+It reads RUN/attack/curves.csv and epochs.csv and writes RUN/attack/tensorboard. It needs the
+package of requirements/tensorboard.txt.
 """
 
 import argparse
@@ -15,7 +15,7 @@ MISSING_TOOL = 3
 
 
 def write_events(attack: Path, out: Path) -> int:
-    """Write every column of the attack's tables as a scalar; return how many numbers there were."""
+    """Write every column of the attack's tables as a scalar; return the number of values."""
     from torch.utils.tensorboard import SummaryWriter
 
     count = 0

@@ -1,4 +1,4 @@
-"""Make model packages: `python -m tt3d_tools.export NAME... [--out models]`."""
+"""Export model packages: `python -m tt3d_tools.export NAME... [--out models]`."""
 
 import argparse
 import importlib
@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def parse_labels(text: str) -> str | list[str]:
-    """Return "imagenet-1k", or the lines of a text file or the strings of a JSON list."""
+    """Return "imagenet-1k", the lines of a text file, or the strings of a JSON list."""
     if text == "imagenet-1k":
         return text
     path = Path(text)
@@ -29,14 +29,16 @@ def parse_labels(text: str) -> str | list[str]:
 
 
 def add_card_options(parser: argparse.ArgumentParser, required: bool) -> None:
-    """Add the options that a card needs when no table knows them."""
+    """Add the options for the values of a card that no table has."""
     parser.add_argument("--size", type=int, nargs="+", metavar="PX", required=required,
                         help="input size: H W, or one number")  # fmt: skip
     parser.add_argument("--mean", type=float, nargs=3, required=required)
     parser.add_argument("--std", type=float, nargs=3, required=required)
     parser.add_argument("--resize", type=int, help="shorter side before the crop (default: size)")
     parser.add_argument("--interpolation", choices=("bilinear", "bicubic"), default="bilinear")
-    parser.add_argument("--labels", default="imagenet-1k", help="imagenet-1k, or a file of names")
+    parser.add_argument(
+        "--labels", default="imagenet-1k", help="imagenet-1k, or a file with the names"
+    )
     parser.add_argument("--name", help="name of the package")
     parser.add_argument("--licence", default="unknown")
     parser.add_argument("--source", default="")
@@ -45,7 +47,7 @@ def add_card_options(parser: argparse.ArgumentParser, required: bool) -> None:
 def build_own(target: str, options: argparse.Namespace) -> ModelSpec:
     """Import `module:function`, call it, and describe the network with the options."""
     if not (options.size and options.mean and options.std):
-        raise WeightsError(f"{target}: own networks need --size, --mean and --std")
+        raise WeightsError(f"{target}: a network of your own needs --size, --mean and --std")
     module, function = target.split(":", 1)
     sys.path.insert(0, "")
     try:
@@ -80,13 +82,13 @@ def build(target: str, options: argparse.Namespace) -> ModelSpec:
 
 
 def check(program: Path, archive: Path) -> None:
-    """Let the C++ reader check the package, where it is built."""
+    """Check the package with the C++ reader, if it is built."""
     if not program.is_file():
         print(f"not checked with the C++ reader: {program} is not built")
         return
     done = subprocess.run([program, "model", "check", archive], capture_output=True, text=True)
     if done.returncode != 0:
-        raise WeightsError(f"{archive}: refused by {program}: {done.stderr.strip()}")
+        raise WeightsError(f"{archive}: {program} refused it: {done.stderr.strip()}")
     print(done.stdout.strip())
 
 
@@ -116,7 +118,7 @@ def arguments() -> argparse.ArgumentParser:
 
 
 def print_names() -> None:
-    """Print every name the exporter knows."""
+    """Print every name that the exporter knows."""
     import torchvision
 
     print("\n".join(LITE_SIZES))
@@ -126,7 +128,7 @@ def print_names() -> None:
 
 
 def main() -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line; return the exit code."""
     parser = arguments()
     options = parser.parse_args()
     if options.list:

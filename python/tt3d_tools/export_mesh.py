@@ -1,9 +1,9 @@
-"""Writes a mesh as 3MF, STL or PLY, scaled to a size in millimetres where asked.
+"""Write a mesh as 3MF, STL or PLY, scaled to a size in millimetres on request.
 
     python export_mesh.py MESH.safetensors OUT SIZE_MM
 
 SIZE_MM is the longest side of the bounding box; 0 keeps the mesh's own units. 3MF has millimetres
-and the texture; STL geometry alone; PLY vertex colours looked up in the texture.
+and the texture. STL has only the geometry. PLY has vertex colours, looked up in the texture.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def scale_to(mesh: Mesh, size_mm: float) -> None:
-    """Scales about the origin so that the longest side of the box has a length."""
+    """Scale the mesh about the origin to `size_mm` along the longest side of its box."""
     import numpy as np
 
     longest = float((mesh.vertices.max(0) - mesh.vertices.min(0)).max())
@@ -30,7 +30,7 @@ def scale_to(mesh: Mesh, size_mm: float) -> None:
 
 
 def write_3mf(mesh: Mesh, path: Path) -> None:
-    """Textured 3MF through lib3mf; v counts from the bottom, as the format has it."""
+    """Write a textured 3MF with lib3mf. In 3MF, v starts at the bottom."""
     lib3mf = toolkit.need_package("lib3mf", "3MF")
     from PIL import Image
 
@@ -55,11 +55,13 @@ def write_3mf(mesh: Mesh, path: Path) -> None:
     clamp = lib3mf.TextureTileStyle.Clamp
     texture.SetTileStyleUV(clamp, clamp)
     group = model.AddTexture2DGroup(texture)
-    places = [group.AddTex2Coord(lib3mf.Tex2Coord(float(u), float(1 - v))) for u, v in mesh.uvs]
+    coordinates = [
+        group.AddTex2Coord(lib3mf.Tex2Coord(float(u), float(1 - v))) for u, v in mesh.uvs
+    ]
     resource = group.GetResourceID()
     properties = []
     for corners in mesh.uv_faces:
-        ids = [places[int(c)] for c in corners]
+        ids = [coordinates[int(c)] for c in corners]
         properties.append(lib3mf.TriangleProperties(resource, (lib3mf.ctypes.c_uint32 * 3)(*ids)))
     solid.SetAllTriangleProperties(properties)
     first = properties[0]
@@ -69,12 +71,12 @@ def write_3mf(mesh: Mesh, path: Path) -> None:
 
 
 def write_stl(mesh: Mesh, path: Path) -> None:
-    """Binary STL."""
+    """Write a binary STL."""
     mesh.triangles().export(path, file_type="stl")
 
 
 def write_ply(mesh: Mesh, path: Path) -> None:
-    """Binary PLY with vertex colours."""
+    """Write a binary PLY with vertex colours."""
     import trimesh
 
     colors = mesh.vertex_colors()
@@ -87,7 +89,7 @@ WRITERS = {".3mf": write_3mf, ".stl": write_stl, ".ply": write_ply}
 
 
 def work(arguments: list[str]) -> None:
-    """Writes the file by its extension."""
+    """Write the file in the format of its extension."""
     source, out, size_mm = arguments
     path = Path(out)
     for package in ("numpy", "trimesh", "PIL"):
@@ -96,9 +98,9 @@ def work(arguments: list[str]) -> None:
 
     mesh = read_mesh(source)
     scale_to(mesh, float(size_mm))
-    half = path.with_name(f".{path.name}.part{path.suffix}")
-    WRITERS[path.suffix](mesh, half)
-    half.replace(path)
+    temporary = path.with_name(f".{path.name}.part{path.suffix}")
+    WRITERS[path.suffix](mesh, temporary)
+    temporary.replace(path)
 
 
 if __name__ == "__main__":

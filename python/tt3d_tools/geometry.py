@@ -1,9 +1,10 @@
-"""Distances between two surfaces, and what is wrong with one.
+"""Measure the distance between two surfaces, and find self-intersections.
 
     python geometry.py CLEAN.safetensors ADVERSARIAL.safetensors OUT.json
 
-Distances are between surfaces, both ways, from points drawn evenly by area (fixed seed) and from
-all vertices, to the nearest point of the other surface's triangles near by; in the input's units.
+Distances are in the input's units and measured in both directions. They start from points drawn
+uniformly by area (fixed seed) and from all vertices, and end at the nearest point of the other
+surface among its nearby triangles.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ if TYPE_CHECKING:
     import trimesh
 
 SAMPLES = 30_000
-CANDIDATES = 8  # triangles a query is compared with exactly
+CANDIDATES = 8  # triangles that are compared exactly with a query point
 
 
 def surface_points(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points by area and every face's corners, with the face each lies on."""
+    """Return random points by area and all face corners, and the face of each point."""
     import numpy as np
 
     random = np.random.default_rng(0)
@@ -43,13 +44,13 @@ def surface_points(mesh: trimesh.Trimesh, count: int) -> tuple[np.ndarray, np.nd
 def one_way(
     points: np.ndarray, owner: np.ndarray, source: trimesh.Trimesh, target: trimesh.Trimesh
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of points of `source` to `target`, and the angle between the normals there, deg."""
+    """Return the distances of `points` on `source` to `target`, and the angles of normals, deg."""
     import numpy as np
     from scipy.spatial import cKDTree
     from trimesh.triangles import closest_point
 
-    stones, faces = surface_points(target, SAMPLES)
-    _, near = cKDTree(stones).query(points, k=CANDIDATES)
+    samples, faces = surface_points(target, SAMPLES)
+    _, near = cKDTree(samples).query(points, k=CANDIDATES)
     best, where = np.full(len(points), np.inf), np.zeros(len(points), int)
     for k in range(CANDIDATES):
         face = faces[near[:, k]]
@@ -61,10 +62,10 @@ def one_way(
 
 
 def distances(a: trimesh.Trimesh, b: trimesh.Trimesh) -> dict[str, float]:
-    """Chamfer (mean of both ways' means), Hausdorff (largest of all) and normal deviation."""
+    """Return Chamfer (mean over both directions), Hausdorff (largest) and normal deviation."""
     there = one_way(*surface_points(a, SAMPLES), a, b)
     back = one_way(*surface_points(b, SAMPLES), b, a)
-    drawn = slice(0, SAMPLES)  # by area; the corners count for the largest distance alone
+    drawn = slice(0, SAMPLES)  # by area; the corners count only for the largest distance
     return {
         "chamfer": float(there[0][drawn].mean() + back[0][drawn].mean()) / 2,
         "hausdorff": float(max(there[0].max(), back[0].max())),
@@ -73,7 +74,7 @@ def distances(a: trimesh.Trimesh, b: trimesh.Trimesh) -> dict[str, float]:
 
 
 def self_intersections(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Faces that an edge of another face, with no vertex in common, passes through: indices."""
+    """Return the indices of faces crossed by an edge with which they share no vertex."""
     import numpy as np
     from trimesh.ray.ray_pyembree import RayMeshIntersector
 
@@ -94,7 +95,7 @@ def self_intersections(mesh: trimesh.Trimesh) -> np.ndarray:
 
 
 def work(arguments: list[str]) -> None:
-    """Compares two meshes."""
+    """Compare two meshes."""
     for package in ("numpy", "scipy", "trimesh", "embreex"):
         toolkit.need_package(package, "geometry measures")
     import mesh_data

@@ -1,12 +1,12 @@
-"""Asks models of other tasks about pictures: detection, captions, zero-shot classification.
+"""Run models of other tasks on pictures: detection, captions, zero-shot classification.
 
     python judge.py JOB.json
 
-The job names the `task` (detect: Grounding DINO, caption: BLIP, zeroshot: CLIP), the local `model`
-folder that Hugging Face transformers saved, `pictures`, `texts` (phrases; the first is the source,
-what the object is, the second the target), a `threshold` for boxes, and the JSON file `out`. A
-picture counts for a word as the paper counts it: detect, a box of that phrase; caption, the word in
-the caption; zeroshot, the phrase with the highest probability.
+The job has the `task` (detect: Grounding DINO, caption: BLIP, zeroshot: CLIP), the local `model`
+folder in the layout of Hugging Face transformers, `pictures`, `texts` (phrases; the first is the
+object's true class, the second the target), a `threshold` for boxes, and the JSON file `out`. A
+phrase counts as found in a picture by the paper's rule. detect: a box has the phrase. caption: the
+word is in the caption. zeroshot: the phrase has the highest probability.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CAPTION_TOKENS = 30
 
 
 def check_folder(task: str, folder: str) -> None:
-    """The model's folder must be there: nothing is downloaded."""
+    """Raise MissingTool if the model's folder is absent; nothing is downloaded."""
     name, source = MODELS[task]
     if not (Path(folder) / "config.json").is_file():
         raise toolkit.MissingTool(
@@ -40,7 +40,7 @@ def check_folder(task: str, folder: str) -> None:
 
 
 def load(task: str, folder: str) -> tuple[Any, Any]:
-    """Processor and network from a local folder, weights as safetensors only."""
+    """Load processor and network from a local folder; the weights must be safetensors."""
     transformers = toolkit.need_package("transformers", "judge")
     classes = {
         "detect": transformers.GroundingDinoForObjectDetection,
@@ -52,19 +52,19 @@ def load(task: str, folder: str) -> tuple[Any, Any]:
         model = classes[task].from_pretrained(folder, local_files_only=True, use_safetensors=True)
     except (OSError, ValueError, KeyError) as error:
         line = str(error).strip().splitlines()[0] if str(error).strip() else repr(error)
-        raise toolkit.InputProblem(f"{folder}: no {MODELS[task][0]} model: {line}") from error
+        raise toolkit.InputProblem(f"{folder}: not a {MODELS[task][0]} model: {line}") from error
     return processor, model.eval()
 
 
 def says(text: str, phrase: str) -> bool:
-    """Whether the phrase, or its last word, stands in a text as a word (articles aside)."""
+    """Return whether the phrase without its article, or its last word, is a word of the text."""
     words = re.sub(r"^(a|an|the)\s+", "", phrase.lower().strip(" ."))
     options = {words, words.split()[-1]}
     return any(re.search(rf"\b{re.escape(o)}(s|es)?\b", text.lower()) for o in options)
 
 
 def detect(processor: Any, model: Any, image: Any, job: dict[str, Any]) -> dict[str, Any]:
-    """Boxes with their phrases."""
+    """Return the boxes with their phrases."""
     prompt = " ".join(t.strip(" .").lower() + "." for t in job["texts"])
     inputs = processor(images=image, text=prompt, return_tensors="pt")
     outputs = model(**inputs)
@@ -84,7 +84,7 @@ def detect(processor: Any, model: Any, image: Any, job: dict[str, Any]) -> dict[
 
 
 def caption(processor: Any, model: Any, image: Any, job: dict[str, Any]) -> dict[str, Any]:
-    """A sentence about the picture."""
+    """Return a caption of the picture."""
     inputs = processor(images=image, return_tensors="pt")
     tokens = model.generate(**inputs, max_new_tokens=CAPTION_TOKENS)
     text = processor.decode(tokens[0], skip_special_tokens=True).strip()
@@ -92,7 +92,7 @@ def caption(processor: Any, model: Any, image: Any, job: dict[str, Any]) -> dict
 
 
 def zeroshot(processor: Any, model: Any, image: Any, job: dict[str, Any]) -> dict[str, Any]:
-    """Probabilities of the phrases."""
+    """Return the probabilities of the phrases."""
     phrases = [f"a photo of {t.strip(' .')}" for t in job["texts"]]
     inputs = processor(images=image, text=phrases, return_tensors="pt", padding=True)
     p = model(**inputs).logits_per_image.softmax(dim=1)[0]
@@ -107,7 +107,7 @@ ASK = {"detect": detect, "caption": caption, "zeroshot": zeroshot}
 
 
 def work(arguments: list[str]) -> None:
-    """Judges all pictures of a job."""
+    """Run the task on all pictures of a job."""
     (path,) = arguments
     job = toolkit.read_job(path)
     task = job["task"]

@@ -1,10 +1,10 @@
-"""Joins pictures to an MP4 with ffmpeg, for tt3d render --video.
+"""Encode pictures as an MP4 with ffmpeg, for tt3d render --video.
 
     python make_video.py PATTERN RATE BLUR CRF OUT.mp4
 
-PATTERN is ffmpeg's (frame%05d.png). BLUR pictures are averaged to one frame, as a shutter that is
-open all the time does; RATE is of the frames that come out. CRF is H.264's: 18 hardly loses, 35
-visibly.
+PATTERN is a file pattern of ffmpeg (frame%05d.png). BLUR pictures are averaged to one frame, as by
+an open shutter. RATE is the rate of the output frames. CRF is the quality of H.264: at 18 the loss
+is hardly visible, at 35 clearly.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import toolkit
 
 
 def work(arguments: list[str]) -> None:
-    """Encodes the pictures."""
+    """Encode the pictures."""
     pattern, rate, blur, crf, out = arguments
     ffmpeg = toolkit.need_program("ffmpeg", "render --video")
     filters = f"tmix=frames={blur},select=not(mod(n+1\\,{blur}))," if int(blur) > 1 else ""

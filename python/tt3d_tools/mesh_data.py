@@ -1,14 +1,10 @@
-"""Textured meshes as tt3d hands them to its tools: safetensors with what its own loader read."""
+"""Textured meshes that tt3d passes to its tools, as safetensors files."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from unwrap import read_tensors, write_tensors
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Mesh:
-    """World coordinates, +Z up; uvs with (0,0) at the top left corner of the texture."""
+    """A textured mesh in world coordinates, +Z up; uv (0,0) is the texture's top left corner."""
 
     vertices: np.ndarray  # [V,3] float32
     faces: np.ndarray  # [F,3] int32
@@ -26,7 +22,7 @@ class Mesh:
     texture: np.ndarray  # [H,W,3] uint8, sRGB
 
     def select(self, keep: np.ndarray) -> Mesh:
-        """The mesh with a part of its faces; vertices that none uses any more are dropped."""
+        """Return the mesh with only the faces in `keep`, without unused vertices."""
         import numpy as np
 
         used, inverse = np.unique(self.faces[keep], return_inverse=True)
@@ -34,13 +30,16 @@ class Mesh:
         return Mesh(self.vertices[used], faces, self.uvs, self.uv_faces[keep], self.texture)
 
     def triangles(self) -> trimesh.Trimesh:
-        """The geometry for trimesh, untouched."""
+        """Return the geometry as a trimesh, without any processing."""
         import trimesh
 
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
     def colors_at(self, uvs: np.ndarray) -> np.ndarray:
-        """Bilinear look-up: [N,2] to [N,3] float in [0,1]."""
+        """Look the texture up bilinearly: uvs [N,2] to colours [N,3], float in [0,1].
+
+        The function of trimesh places texel centres elsewhere and rounds to 8 bits.
+        """
         import numpy as np
 
         height, width = self.texture.shape[:2]
@@ -55,7 +54,7 @@ class Mesh:
         return upper * (1 - v) + lower * v
 
     def vertex_colors(self) -> np.ndarray:
-        """[V,3] uint8: the mean over the places that a vertex has in the texture."""
+        """Return [V,3] uint8, the mean colour over the texture coordinates of each vertex."""
         import numpy as np
 
         sums, counts = np.zeros((len(self.vertices), 3)), np.zeros(len(self.vertices))
@@ -66,19 +65,23 @@ class Mesh:
 
 
 def read_mesh(path: str | Path) -> Mesh:
-    """What tt3d wrote with save_tensors."""
-    tensors = read_tensors(Path(path))
+    """Read a mesh file of tt3d."""
+    from safetensors.numpy import load_file
+
+    tensors = load_file(path)
     return Mesh(*(tensors[k] for k in ("vertices", "faces", "uvs", "uv_faces", "texture")))
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> None:
-    """Geometry for tt3d to write with the texture it has already."""
-    write_tensors(
-        Path(path),
-        {
-            "vertices": mesh.vertices,
-            "faces": mesh.faces,
-            "uvs": mesh.uvs,
-            "uv_faces": mesh.uv_faces,
-        },
-    )
+    """Write the geometry for tt3d, which has the texture already."""
+    import numpy as np
+    from safetensors.numpy import save_file
+
+    tensors = {
+        "vertices": mesh.vertices.astype(np.float32),
+        "faces": mesh.faces.astype(np.int32),
+        "uvs": mesh.uvs.astype(np.float32),
+        "uv_faces": mesh.uv_faces.astype(np.int32),
+    }
+    # save_file needs contiguous arrays.
+    save_file({name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}, path)

@@ -1,4 +1,4 @@
-"""Writing a model package: NAME.pt2 (torch.export archive) and NAME.json (card)."""
+"""Write a model package: NAME.pt2 (torch.export archive) and NAME.json (card)."""
 
 import hashlib
 import json
@@ -18,7 +18,7 @@ MAX_BATCH = 4096
 
 @dataclass
 class ModelSpec:
-    """A network with what a card says about it."""
+    """A network and the values of its card."""
 
     name: str
     model: torch.nn.Module
@@ -43,7 +43,7 @@ def file_sha256(path: Path) -> str:
 
 
 def card_of(spec: ModelSpec) -> dict[str, Any]:
-    """Return the card without checksum and probe."""
+    """Return the card of `spec` without checksum and probe."""
     return {
         "name": spec.name,
         "architecture": spec.architecture,
@@ -65,14 +65,14 @@ def export_program(model: torch.nn.Module, size: tuple[int, int]) -> torch.expor
     sample = torch.zeros(2, 3, *size)
     batch = torch.export.Dim("batch", min=1, max=MAX_BATCH)
     program = torch.export.export(model, (sample,), dynamic_shapes=({0: batch},), strict=False)
-    program.example_inputs = None  # zeros, and a pickle
+    program.example_inputs = None  # they are zeros, and stored as a pickle
     for node in program.graph.nodes:
-        node.meta.pop("stack_trace", None)  # paths of this machine do not belong in a package
+        node.meta.pop("stack_trace", None)  # a package must not have paths of this machine
     return program
 
 
 def write_text_atomic(path: Path, text: str) -> None:
-    """Write through a temporary file in the same folder, so that `path` is never half written."""
+    """Write through a temporary file in the same folder, so that `path` is always complete."""
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     with os.fdopen(handle, "w", encoding="utf-8") as stream:
         stream.write(text)
@@ -83,7 +83,7 @@ def write_text_atomic(path: Path, text: str) -> None:
 
 
 def card_text(card: dict[str, Any]) -> str:
-    """Return the card as JSON: a line a key, long lists of numbers not broken."""
+    """Return the card as JSON with one line for each key."""
     lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in card.items()]
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
@@ -91,7 +91,7 @@ def card_text(card: dict[str, Any]) -> str:
 def write_package(
     spec: ModelSpec, out: Path, probe_batches: tuple[int, ...] = (2,)
 ) -> tuple[Path, Path]:
-    """Export `spec` into folder `out`; returns the paths of archive and card.
+    """Export `spec` into folder `out`; return the paths of archive and card.
 
     The card is written last, so a card always belongs to a complete archive.
     """

@@ -1,11 +1,11 @@
-"""LPIPS (Zhang et al., CVPR 2018) between pairs of pictures, for tt3d.
+"""Measure LPIPS (Zhang et al., CVPR 2018) between pairs of pictures.
 
     python perceptual.py NET BACKBONE PAIRS.json OUT.json
 
-NET is vgg, alex or squeeze; BACKBONE a file with torchvision's weights of that network (.pth or
-.safetensors, keys `features.N.weight`); the linear layers come with the package lpips. PAIRS lists
-[clean.png, adversarial.png, [left, top, right, bottom]]: the box in pixels around the object. The
-result has the means over the pairs of the whole frame and of the box.
+NET is vgg, alex or squeeze. BACKBONE is a file with torchvision's weights of that network (.pth or
+.safetensors, keys `features.N.weight`). The package lpips has the linear layers. PAIRS lists
+[clean.png, adversarial.png, [left, top, right, bottom]], with the box around the object in pixels.
+The result has the means over the pairs, of the whole frame and of the box.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ SOURCES = {
     "alex": "alexnet-owt-7be5be79.pth",
     "squeeze": "squeezenet1_1-b8a52dc0.pth",
 }
-SMALLEST = 64  # pixels a side that every backbone can take
+SMALLEST = 64  # smallest side in pixels that every backbone accepts
 
 
 def backbone_weights(net: str, path: str) -> dict[str, torch.Tensor]:
-    """The state dict of a backbone; MissingTool says what to download where."""
+    """Read a backbone's state dict; MissingTool says what to download and where to put it."""
     import torch
 
     file = Path(path)
     if not file.is_file():
         raise toolkit.MissingTool(
-            f"LPIPS with {net} needs torchvision's weights {SOURCES[net]} (its 'pth' file of the "
-            f"model zoo, ImageNet V1): download them and put them at {path}"
+            f"LPIPS with {net} needs torchvision's weights {SOURCES[net]} (the '.pth' file of its "
+            f"model zoo, ImageNet V1): download them to {path}"
         )
     if file.suffix == ".safetensors":
         from safetensors.torch import load_file
@@ -46,15 +46,15 @@ def backbone_weights(net: str, path: str) -> dict[str, torch.Tensor]:
     try:
         return torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:
-        raise toolkit.InputProblem(f"{path}: no state dict that can be read: {error}") from error
+        raise toolkit.InputProblem(f"{path}: not a readable state dict: {error}") from error
 
 
 def load_lpips(net: str, path: str) -> torch.nn.Module:
-    """The lpips package's network with a given backbone; nothing is downloaded."""
+    """Return the lpips package's network with the given backbone; nothing is downloaded."""
     lpips = toolkit.need_package("lpips", "--lpips")
     weights = backbone_weights(net, path)
     model = lpips.LPIPS(net=net, pretrained=True, pnet_rand=True, verbose=False).eval()
-    # Slice k of the package's network holds torchvision's layer N under its number.
+    # Each slice of the package's network names a layer by its number in torchvision.
     for name, value in model.net.state_dict().items():
         source = "features." + name.split(".", 1)[1]
         if source not in weights or weights[source].shape != value.shape:
@@ -66,7 +66,7 @@ def load_lpips(net: str, path: str) -> torch.nn.Module:
 
 
 def picture(path: str) -> torch.Tensor:
-    """[1,3,H,W] in [-1,1]."""
+    """Read a picture as [1,3,H,W] in [-1,1]."""
     import numpy as np
     import torch
     from PIL import Image
@@ -76,7 +76,7 @@ def picture(path: str) -> torch.Tensor:
 
 
 def score(model: torch.nn.Module, pairs: list[list]) -> dict[str, float]:
-    """Means over the pairs."""
+    """Return the means over the pairs."""
     import torch
 
     frame, box = [], []
@@ -95,7 +95,7 @@ def score(model: torch.nn.Module, pairs: list[list]) -> dict[str, float]:
 
 
 def work(arguments: list[str]) -> None:
-    """Scores the pairs of a file."""
+    """Score the pairs of a file."""
     net, backbone, pairs, out = arguments
     if net not in SOURCES:
         raise toolkit.InputProblem(f"--lpips {net}: expected vgg, alex or squeeze")

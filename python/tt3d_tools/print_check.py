@@ -1,10 +1,10 @@
-"""What a 3D printer would stumble over, with advice; and what can be mended.
+"""Check a mesh for 3D printing, give advice, and repair simple faults.
 
     python print_check.py JOB.json
 
-The job names the `mesh`, `size_mm` (longest side), `wall_mm`, `overhang_deg`, the `gamut` file (a
-colour `#rrggbb` a line) or "", `flat_base_mm`, `repair` (a file for the mended mesh, or "") and
-`out`.
+The job has the `mesh`, `size_mm` (longest side), `wall_mm`, `overhang_deg`, the `gamut` file (a
+colour `#rrggbb` a line) or "", `flat_base_mm`, `repair` (a file for the repaired mesh, or "") and
+`out`. The repair functions are our own where trimesh's would lose the texture coordinates.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ GAMUT_TOLERANCE = 3.0  # CIE 1976 colour difference
 
 
 def finding(name: str, good: bool, value: Any, text: str, advice: str) -> dict[str, Any]:
-    """One line of the answer; advice where it is not good."""
+    """Return the result of one check; it has advice only if the check failed."""
     return {
         "check": name,
         "ok": bool(good),
@@ -40,7 +40,7 @@ def finding(name: str, good: bool, value: Any, text: str, advice: str) -> dict[s
 
 
 def parts_of(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Number of the connected part of each face, by shared vertices."""
+    """Return the index of the connected part of each face; parts share no vertex."""
     import numpy as np
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -54,7 +54,7 @@ def parts_of(mesh: trimesh.Trimesh) -> np.ndarray:
 
 
 def wall_thickness(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Lengths of rays from points of the surface (by area, fixed seed) to its other side."""
+    """Return the lengths of inward rays from surface points (by area, fixed seed)."""
     import numpy as np
     from geometry import surface_points
     from trimesh.ray.ray_pyembree import RayMeshIntersector
@@ -70,14 +70,14 @@ def wall_thickness(mesh: trimesh.Trimesh) -> np.ndarray:
 
 
 def lab(srgb: np.ndarray) -> np.ndarray:
-    """sRGB in [0,1] to CIE L*a*b* (D65)."""
+    """Convert sRGB in [0,1] to CIE L*a*b* (D65)."""
     from skimage.color import rgb2lab
 
     return rgb2lab(srgb.reshape(1, -1, 3)).reshape(-1, 3)
 
 
 def out_of_gamut(colors: np.ndarray, palette: np.ndarray) -> np.ndarray:
-    """Colours further than the tolerance outside the convex hull of the palette, in L*a*b*."""
+    """Return the indices of colours outside the palette's convex hull in L*a*b*, with tolerance."""
     import numpy as np
     from scipy.spatial import ConvexHull, QhullError
 
@@ -85,14 +85,14 @@ def out_of_gamut(colors: np.ndarray, palette: np.ndarray) -> np.ndarray:
         hull = ConvexHull(lab(palette))
     except (QhullError, ValueError) as error:
         raise toolkit.InputProblem(
-            "gamut: needs at least four colours that do not lie in a plane"
+            "gamut: needs at least four colours that are not in one plane"
         ) from error
     outside = (lab(colors) @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
     return np.flatnonzero(outside > GAMUT_TOLERANCE)
 
 
 def read_palette(path: str) -> np.ndarray:
-    """A colour #rrggbb a line; [N,3] in [0,1]."""
+    """Read a file with a colour #rrggbb a line; return [N,3] in [0,1]."""
     import numpy as np
 
     colors = []
@@ -116,7 +116,7 @@ def read_palette(path: str) -> np.ndarray:
 
 
 def topology_findings(mesh: trimesh.Trimesh) -> list[dict[str, Any]]:
-    """Holes, orientation, self-intersections, loose parts."""
+    """Check holes, orientation, self-intersections and loose parts."""
     import numpy as np
     from geometry import self_intersections
 
@@ -132,35 +132,35 @@ def topology_findings(mesh: trimesh.Trimesh) -> list[dict[str, Any]]:
             open_edges == 0 and crowded == 0,
             {"open_edges": open_edges, "crowded_edges": crowded},
             f"{open_edges} open edges, {crowded} edges with more than two faces",
-            "--repair closes small holes; else mend the mesh before slicing",
+            "--repair closes small holes; repair larger ones in a mesh editor before slicing",
         ),
         finding(
             "oriented",
             oriented,
             bool(oriented),
             "normals point outwards" if oriented else "normals disagree or point inwards",
-            "--repair turns the faces",
+            "--repair orients the faces",
         ),
         finding(
             "self-intersections",
             crossing == 0,
             crossing,
-            f"{crossing} of {len(mesh.faces)} faces cross another",
-            "most slicers unite overlaps; keep them few by a larger attack.regularizer weight or a "
-            "smaller attack.max_displacement",
+            f"{crossing} of {len(mesh.faces)} faces cross another face",
+            "most slicers unite overlaps; to have fewer, raise attack.laplacian_weight or lower "
+            "attack.max_displacement",
         ),
         finding(
             "loose parts",
             len(area) == 1,
             len(area),
             f"{len(area)} parts; the largest has {area.max() / area.sum():.1%} of the area",
-            "--repair drops parts under 0.1 % of the area; join or remove larger ones",
+            "--repair removes parts under 0.1 % of the area; join or remove larger ones",
         ),
     ]
 
 
 def shape_findings(mesh: trimesh.Trimesh, job: dict[str, Any]) -> list[dict[str, Any]]:
-    """Walls, overhangs and the base, at the size of the print."""
+    """Check walls, overhangs and the base at the size of the print."""
     import numpy as np
 
     findings, height = [], mesh.vertices[:, 2].max() - mesh.vertices[:, 2].min()
@@ -174,7 +174,7 @@ def shape_findings(mesh: trimesh.Trimesh, job: dict[str, Any]) -> list[dict[str,
                 {"share_below": thin, "quantile_01_mm": low},
                 f"{thin:.1%} of the surface is thinner than {job['wall_mm']:g} mm; its thinnest "
                 f"hundredth is below {low:.2f} mm",
-                f"print it {job['wall_mm'] / max(low, 1e-6):.1f} times larger, or thicken them",
+                f"print it {job['wall_mm'] / max(low, 1e-6):.1f} times larger, or thicken walls",
             )
         )
     down = mesh.face_normals[:, 2] < -np.cos(np.radians(job["overhang_deg"]))
@@ -198,14 +198,14 @@ def shape_findings(mesh: trimesh.Trimesh, job: dict[str, Any]) -> list[dict[str,
             base > 0.02 * shadow,
             base,
             f"{base:.1f} mm2 rest on the plate",
-            "--flat-base MM with --repair presses the lowest part flat; or print with a raft",
+            "--flat-base MM with --repair flattens the lowest part; or print with a raft",
         )
     )
     return findings
 
 
 def gamut_finding(mesh: Mesh, palette: np.ndarray) -> dict[str, Any]:
-    """Colours on the surface that the printer's palette does not span."""
+    """Check for surface colours outside the printer's palette."""
     import numpy as np
     from geometry import surface_points
 
@@ -229,8 +229,8 @@ def gamut_finding(mesh: Mesh, palette: np.ndarray) -> dict[str, Any]:
     )
 
 
-def mend(mesh: Mesh, flat_base: float) -> tuple[Mesh, list[str]]:
-    """Drops broken and tiny pieces, turns faces, closes holes, presses the base flat."""
+def repair(mesh: Mesh, flat_base: float) -> tuple[Mesh, list[str]]:
+    """Remove broken faces and tiny parts, orient faces, close holes, flatten the base."""
     import numpy as np
 
     done = []
@@ -239,17 +239,17 @@ def mend(mesh: Mesh, flat_base: float) -> tuple[Mesh, list[str]]:
     _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
     keep = ~bad & np.isin(np.arange(len(bad)), first)
     if not keep.all():
-        done.append(f"dropped {int((~keep).sum())} flat or doubled faces")
+        done.append(f"removed {int((~keep).sum())} degenerate or duplicate faces")
         mesh = mesh.select(keep)
     label = parts_of(mesh.triangles())
     size = np.bincount(label, mesh.triangles().area_faces)
     small = size < SMALL_PART * size.sum()
     if small.any():
-        done.append(f"dropped {int(small.sum())} loose parts")
+        done.append(f"removed {int(small.sum())} loose parts")
         mesh = mesh.select(~small[label])
-    turned = turn_faces(mesh)
+    turned = orient_faces(mesh)
     if turned:
-        done.append(f"turned {turned} faces")
+        done.append(f"reversed {turned} faces")
     closed = close_holes(mesh)
     if closed:
         done.append(f"closed {closed} holes")
@@ -258,12 +258,12 @@ def mend(mesh: Mesh, flat_base: float) -> tuple[Mesh, list[str]]:
         below = mesh.vertices[:, 2] < level
         mesh.vertices = mesh.vertices.copy()
         mesh.vertices[below, 2] = level
-        done.append(f"pressed {int(below.sum())} vertices flat")
+        done.append(f"flattened {int(below.sum())} vertices")
     return mesh, done
 
 
-def turn_faces(mesh: Mesh) -> int:
-    """Makes neighbours agree and closed parts face outwards; uvs turn along. Returns how many."""
+def orient_faces(mesh: Mesh) -> int:
+    """Orient faces consistently and closed parts outwards, with their uvs; return the number."""
     import numpy as np
     import trimesh
 
@@ -284,7 +284,7 @@ def turn_faces(mesh: Mesh) -> int:
 
 
 def close_holes(mesh: Mesh) -> int:
-    """Fans over the loops of open edges, in the colours of the rim. Returns how many loops."""
+    """Close loops of open edges by fans in the colours of the rim; return the number of loops."""
     import numpy as np
 
     halves = {}
@@ -314,7 +314,7 @@ def close_holes(mesh: Mesh) -> int:
 
 
 def work(arguments: list[str]) -> None:
-    """Checks, and mends first where asked."""
+    """Check a mesh, after repairing it if the job asks for it."""
     (path,) = arguments
     job = toolkit.read_job(path)
     for package in ("numpy", "scipy", "trimesh", "embreex", "skimage"):
@@ -326,16 +326,16 @@ def work(arguments: list[str]) -> None:
     mesh = read_mesh(job["mesh"])
     palette = read_palette(job["gamut"]) if job["gamut"] else None
     longest = float((mesh.vertices.max(0) - mesh.vertices.min(0)).max())
-    mended: list[str] = []
+    repaired: list[str] = []
     if job["repair"]:
-        mesh, mended = mend(mesh, job["flat_base_mm"] * longest / job["size_mm"])
+        mesh, repaired = repair(mesh, job["flat_base_mm"] * longest / job["size_mm"])
         write_mesh(mesh, job["repair"])
     scale_to(mesh, job["size_mm"])
     triangles = mesh.triangles()
     findings = topology_findings(triangles) + shape_findings(triangles, job)
     if palette is not None:
         findings.append(gamut_finding(mesh, palette))
-    Path(job["out"]).write_text(json.dumps({"repaired": mended, "findings": findings}))
+    Path(job["out"]).write_text(json.dumps({"repaired": repaired, "findings": findings}))
 
 
 if __name__ == "__main__":

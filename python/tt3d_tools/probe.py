@@ -1,6 +1,6 @@
-"""The probe of a model card: an input anyone can compute, and what the model answers to it.
+"""The probe of a model card: an input that anyone can compute, and the model's output for it.
 
-The C++ reader (src/model/probe.cpp) computes the same input and compares on load.
+The C++ reader (src/model/probe.cpp) computes the same input and compares the outputs.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ RULE = "waves-1"
 
 
 def probe_hash(index: np.ndarray, seed: int) -> np.ndarray:
-    """Return 32 well-mixed bits for each index (the finaliser of MurmurHash3), as uint64."""
+    """Return a 32-bit hash of each index (the finaliser of MurmurHash3), as uint64."""
     mask = np.uint64(0xFFFFFFFF)
     h = (index.astype(np.uint64) + np.uint64(seed) * np.uint64(0x9E3779B9)) & mask
     for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
@@ -73,8 +73,10 @@ def _affine_batch_norm(
 
 @contextlib.contextmanager
 def right_batch_norm(batch: int) -> Iterator[None]:
-    """Go around a bug of torch 2.11 on the CPU: at batch 1 the backward of batch_norm in
-    evaluation mode is wrong for gradients whose strides could be channels-last.
+    """Work around a bug of torch 2.11 on the CPU at batch 1.
+
+    There, the backward pass of batch_norm in evaluation mode is wrong for gradients whose strides
+    could be channels-last.
     """
     if batch != 1:
         yield
@@ -92,7 +94,7 @@ def _probe_case(
     std = torch.tensor(card["std"], dtype=torch.float32).view(1, 3, 1, 1)
     with right_batch_norm(batch):
         logits = model((images - mean) / std)
-    if logits.dim() == 3:  # a detector's [N,anchors,classes]: each class where it scores highest
+    if logits.dim() == 3:  # a detector's [N,anchors,classes]: the highest score of each class
         logits = logits.amax(1)
     classes = logits.detach().argmax(1)
     (gradient,) = torch.autograd.grad(logits.gather(1, classes[:, None]).sum(), images)
@@ -113,7 +115,7 @@ def make_probe(
     seed: int = 1,
     positions: int = 256,
 ) -> dict[str, Any]:
-    """Run `model` (normalised input, logits out) on the probe images; returns the card's entry.
+    """Run `model` (normalised input, logits) on the probe images; return the card's entry.
 
     `gradient` holds the derivative of the sum over the batch of logits[n, classes[n]] with
     respect to the images (before normalisation) at seeded flat positions.

@@ -1,7 +1,8 @@
-"""Renders views with Blender's Cycles on the CPU; half runs in Python, half inside Blender.
+"""Render views with Blender's Cycles on the CPU.
 
-Imported, `render` starts Blender on this very file, which then finds `bpy` and does the work: one
-process for all views.
+`render` starts Blender with this file as its script, and `inside_blender` then renders all views in
+that one process. Blender has its own Python without our packages, so the part that runs there uses
+only the standard library, numpy and Blender's modules.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import scene
 import toolkit
 
-START_SECONDS = 120  # Blender's start and the import of the asset
+START_SECONDS = 120  # for Blender's start and the import of the asset
 
 
 def render(job: dict[str, Any], path: str) -> str:
-    """Renders the job in a Blender process; returns Blender's version."""
+    """Render the job in a Blender process; return Blender's version."""
     blender = toolkit.need_program("blender", "--renderer blender")
     limit = START_SECONDS + job["time_limit"] * len(job["views"])
     command = [blender, "-b", "--factory-startup", "-noaudio", "--python-exit-code", "9"]
@@ -40,16 +41,16 @@ def render(job: dict[str, Any], path: str) -> str:
     for line in child.stdout:
         if line.startswith("@progress"):
             print(line, end="", flush=True)
-        elif re.match(r"[\w.]*(Error|Exception)\b.*:", line):  # a traceback's last line
+        elif re.match(r"[\w.]*(Error|Exception)\b.*:", line):  # last line of a traceback
             lines.append(line.strip())
     child.wait()
     killer.cancel()
     if time.monotonic() - start >= limit:
-        raise toolkit.ToolError(f"Blender was not done after {limit:.0f} s and was ended")
+        raise toolkit.ToolError(f"Blender did not finish within {limit:.0f} s and was ended")
     if child.returncode != 0:
-        # Blender's own "Error: script failed" comes after what failed.
-        told = [line for line in lines if "script failed" not in line] or ["no message"]
-        raise toolkit.ToolError(f"Blender failed: {told[-1]}")
+        # Blender prints "Error: script failed" after the actual error.
+        errors = [line for line in lines if "script failed" not in line] or ["no message"]
+        raise toolkit.ToolError(f"Blender failed: {errors[-1]}")
     shown = subprocess.run([blender, "--version"], capture_output=True, text=True).stdout
     return shown.split()[1]
 
@@ -58,7 +59,7 @@ def render(job: dict[str, Any], path: str) -> str:
 
 
 def import_asset(bpy: Any, path: str) -> None:
-    """Imports as a user would: glTF with its own axes, OBJ as +Z up."""
+    """Import the asset as a user would: glTF with its own axes, OBJ as +Z up."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if path.lower().endswith(".glb"):
         bpy.ops.import_scene.gltf(filepath=path)
@@ -71,7 +72,7 @@ def import_asset(bpy: Any, path: str) -> None:
 
 
 def base_color(material: Any) -> tuple[Any, tuple[float, ...]]:
-    """What feeds a material's colour: a socket, or None and the colour itself."""
+    """Return the socket that provides a material's colour, or None and the colour itself."""
     nodes = material.node_tree.nodes if material.use_nodes else []
     for kind, name in (("BSDF_PRINCIPLED", "Base Color"), ("EMISSION", "Color")):
         for node in nodes:
@@ -83,7 +84,7 @@ def base_color(material: Any) -> tuple[Any, tuple[float, ...]]:
 
 
 def set_surface(material: Any, lit: bool) -> None:
-    """Replaces a material's surface by a matte or an emitting one of the same colour."""
+    """Replace a material's surface by a matte or an emitting one of the same colour."""
     source, color = base_color(material)
     material.use_nodes = True
     tree = material.node_tree
@@ -99,7 +100,7 @@ def set_surface(material: Any, lit: bool) -> None:
 
 
 def add_ground(bpy: Any, job: dict[str, Any]) -> Any:
-    """The matte disc below the object."""
+    """Add the matte disc below the object."""
     x, y, _ = job["centre"]
     bpy.ops.mesh.primitive_circle_add(
         vertices=128,
@@ -116,7 +117,7 @@ def add_ground(bpy: Any, job: dict[str, Any]) -> Any:
 
 
 def add_light(bpy: Any) -> None:
-    """Constant environment and sun."""
+    """Add the constant environment light and the sun."""
     world = bpy.data.worlds.new("world")
     world.use_nodes = True
     background = world.node_tree.nodes["Background"]
@@ -134,7 +135,7 @@ def add_light(bpy: Any) -> None:
 
 
 def set_up(bpy: Any, job: dict[str, Any]) -> Any:
-    """Cycles on the CPU, sRGB out without a film look, transparent film, our camera."""
+    """Set up Cycles on the CPU, plain sRGB output, a transparent film and our camera."""
     view = bpy.context.scene
     view.render.engine = "CYCLES"
     view.cycles.device = "CPU"
@@ -167,12 +168,12 @@ def set_up(bpy: Any, job: dict[str, Any]) -> Any:
 
 
 def inside_blender(path: str) -> None:
-    """All views of a job."""
+    """Render all views of a job."""
     import bpy
     import numpy
     from mathutils import Matrix
 
-    # Blender 3.4's glTF importer says numpy.bool, which Debian's numpy no longer has.
+    # Blender 3.4's glTF importer uses numpy.bool, which Debian's numpy no longer has.
     if not hasattr(numpy, "bool"):
         numpy.bool = bool
     job = toolkit.read_job(path)

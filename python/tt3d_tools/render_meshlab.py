@@ -1,9 +1,11 @@
-"""Renders views with MeshLab's window under Xvfb: cameras pasted, snapshots saved, by keyboard.
+"""Render views with MeshLab, driven through its window under Xvfb by keyboard.
 
-Debian's MeshLab 2020.09 ends with a failed assertion on every OBJ file, so the OBJ is handed over
-as PLY, MeshLab's own format. A project file brings the rendering options. Lit views from above the
-ground have the ground as a second layer; MeshLab casts no shadows.
-See docs/decisions/0012-meshlab-by-keyboard.md.
+Each camera is pasted through the clipboard, and the picture is saved as a snapshot. Debian's
+MeshLab 2020.09 ends with a failed assertion on every OBJ file, so it gets a PLY. We write the PLY
+ourselves, because trimesh cannot write texture coordinates at the corners or name the texture, and
+MeshLab needs both. A project file has the rendering options. Lit views from above the ground have
+the ground as a second layer. MeshLab casts no shadows. See
+docs/decisions/0012-meshlab-by-keyboard.md.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from typing import Any
 import scene
 import toolkit
 
-# What MeshLab writes into a project for: textured triangles, vertex colours, lit per vertex or not.
+# MeshLab's codes in a project file for textured triangles and vertex colours; True: lit per vertex.
 OPTIONS = {
     False: "100001010000000000000000000001010010010010100000000100111010100000001101",
     True: "100001010000000000000000000001011010010010100000000100111010100000001001",
@@ -50,15 +52,15 @@ VIEW = """<!DOCTYPE ViewState>
 """
 PIXEL_MM = 0.03
 GROUND_CORNERS = 64
-FRAME_ROWS = 104  # rows of MeshLab's window above and below the drawing
+FRAME_ROWS = 104  # rows of MeshLab's window outside the drawing
 MAX_ROWS = 1200  # of the drawing
 START_SECONDS = float(os.environ.get("TT3D_MESHLAB_START", "90"))
-DIALOG_PATIENCE = (6, 12)  # seconds, after each of which the keys are sent again
-STEP_SECONDS = 20  # one dialog, one file: beyond that MeshLab hangs
+DIALOG_PATIENCE = (6, 12)  # seconds; after each of them the keys are sent again
+STEP_SECONDS = 20  # limit for one dialog or one file; after it MeshLab counts as hanging
 
 
 def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
-    """Polls until the condition holds; a hang is an error."""
+    """Poll until the condition holds; raise ToolError after `seconds`."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         value = condition()
@@ -69,32 +71,26 @@ def wait_for(condition: Callable[[], Any], seconds: float, what: str) -> Any:
 
 
 def read_obj(path: Path) -> tuple[Any, Any, Any, Any]:
-    """Positions, uvs and the two index arrays of a triangle OBJ as tt3d writes it."""
-    import numpy as np
+    """Read a triangle OBJ: positions, uvs and the two index arrays.
 
-    vertices, uvs, faces, uv_faces = [], [], [], []
-    for line in path.read_text().splitlines():
-        words = line.split()
-        if not words:
-            continue
-        if words[0] == "v":
-            vertices.append(words[1:4])
-        elif words[0] == "vt":
-            uvs.append(words[1:3])
-        elif words[0] == "f":
-            corners = [word.split("/") for word in words[1:4]]
-            faces.append([int(c[0]) - 1 for c in corners])
-            uv_faces.append([int(c[1]) - 1 for c in corners])
-    return (
-        np.array(vertices, "<f4"),
-        np.array(uvs, "<f4"),
-        np.array(faces, "<i4"),
-        np.array(uv_faces, "<i4"),
-    )
+    trimesh splits vertices at seams of the uvs. Vertices at the same position are merged again,
+    because MeshLab computes the normals of lit views from shared vertices.
+    """
+    import numpy as np
+    import trimesh
+
+    mesh = trimesh.load(path, force="mesh", process=False, skip_materials=True)
+    vertices, index = np.unique(np.asarray(mesh.vertices, "<f4"), axis=0, return_inverse=True)
+    faces = index.reshape(-1)[mesh.faces]
+    uvs = np.asarray(mesh.visual.uv, "<f4")
+    return vertices, uvs, faces.astype("<i4"), np.asarray(mesh.faces, "<i4")
 
 
 def write_ply(mesh: tuple[Any, Any, Any, Any], path: Path, texture: str) -> None:
-    """PLY with a texture place a corner, and white vertices, as MeshLab multiplies both."""
+    """Write a PLY with texture coordinates at the corners.
+
+    The vertices are white, because MeshLab multiplies their colour with the texture.
+    """
     import numpy as np
 
     vertices, uvs, faces, uv_faces = mesh
@@ -120,7 +116,7 @@ def write_ply(mesh: tuple[Any, Any, Any, Any], path: Path, texture: str) -> None
 
 
 def write_ground(job: dict[str, Any], folder: Path) -> None:
-    """The ground disc as ground.ply, with a picture of one grey as its texture."""
+    """Write the ground disc as ground.ply, with a plain grey picture as its texture."""
     import numpy as np
     from PIL import Image
 
@@ -138,7 +134,7 @@ def write_ground(job: dict[str, Any], folder: Path) -> None:
 
 
 def write_scene(job: dict[str, Any], texture: Path, folder: Path, with_ground: bool) -> None:
-    """The project and its layers."""
+    """Write the project and its layers."""
     folder.mkdir()
     os.symlink(texture, folder / f"texture{texture.suffix}")
     write_ply(read_obj(Path(job["asset"])), folder / "object.ply", f"texture{texture.suffix}")
@@ -152,7 +148,7 @@ def write_scene(job: dict[str, Any], texture: Path, folder: Path, with_ground: b
 
 
 def view_state(job: dict[str, Any], camera_to_world: list[float], rows: int) -> str:
-    """A camera as MeshLab's clipboard has it: axes of the camera as rows, minus its place."""
+    """Return a camera in MeshLab's format: the camera's axes as rows, its negated position."""
     import numpy as np
 
     matrix = np.array(camera_to_world).reshape(4, 4)
@@ -172,10 +168,10 @@ def view_state(job: dict[str, Any], camera_to_world: list[float], rows: int) -> 
 
 
 class Window:
-    """MeshLab on a display of its own."""
+    """MeshLab on its own display."""
 
     def __init__(self, folder: Path, rows: int, layers: int) -> None:
-        """Starts display and MeshLab on folder/object.mlp, which has `layers` meshes."""
+        """Start the display, and MeshLab with folder/object.mlp, which has `layers` meshes."""
         self.folder, self.taken, self.last = folder, 0, b""
         self.display = subprocess.Popen(
             ["Xvfb", "-displayfd", "1", "-screen", "0", "1800x1400x24", "+extension", "GLX"],
@@ -215,11 +211,11 @@ class Window:
         time.sleep(1)
 
     def logged(self, text: str) -> bool:
-        """Whether MeshLab has written a text into its log."""
+        """Return whether the text is in MeshLab's log."""
         return text in self.log.read_text(errors="replace")
 
     def close(self) -> None:
-        """Ends both processes; the display in peace, so that it frees its number."""
+        """End both processes; the display is asked to exit, so that it frees its number."""
         program = getattr(self, "program", None)
         if program is not None and program.poll() is None:
             program.kill()
@@ -232,7 +228,7 @@ class Window:
             self.display.wait()
 
     def find(self, title: str) -> str | None:
-        """The window of a title, if there is one. An ended MeshLab is an error."""
+        """Return the window with this title or None; raise ToolError if MeshLab has ended."""
         if self.program.poll() is not None:
             lines = self.log.read_text(errors="replace").strip().splitlines() or ["no message"]
             raise toolkit.ToolError(f"MeshLab ended: {lines[-1]}")
@@ -246,18 +242,18 @@ class Window:
         return found[0] if found else None
 
     def xdotool(self, *words: str) -> None:
-        """Moves, focuses or types."""
+        """Run xdotool, which moves and focuses windows and types keys."""
         subprocess.run(["xdotool", *words], env=self.env, check=True, timeout=STEP_SECONDS)
 
     def menu(self, menu: str, *keys: str) -> None:
-        """Chooses an entry of a menu by its keys."""
+        """Choose an entry of a menu by its keys."""
         self.xdotool("windowfocus", self.name)
         self.xdotool("key", menu)
         time.sleep(0.15)
         self.xdotool("key", "--delay", "30", *keys)
 
     def open_dialog(self, title: str, menu: str, *keys: str) -> None:
-        """Opens a menu's dialog; asks again where a busy machine has lost the keys."""
+        """Open a menu's dialog; send the keys again if a busy machine has lost them."""
         for patience in (*DIALOG_PATIENCE, None):
             self.menu(menu, *keys)
             try:
@@ -268,8 +264,8 @@ class Window:
                     raise
                 self.xdotool("key", "Escape")
 
-    def look(self, state: str) -> None:
-        """Windows > Paste clipboard to camera settings, the last entry but one."""
+    def set_camera(self, state: str) -> None:
+        """Choose Windows > Paste clipboard to camera settings, the second entry from the end."""
         subprocess.run(
             ["xclip", "-selection", "clipboard"],
             env=self.env,
@@ -281,7 +277,7 @@ class Window:
         time.sleep(0.25)
 
     def snapshot(self) -> Path:
-        """File > Save snapshot; the first time, the background is set to transparent."""
+        """Choose File > Save snapshot; the first time, set the background to transparent."""
         picture = self.folder / f"snapshot{self.taken:02}.png"
         self.open_dialog("Save snapshot", "alt+f", "t")
         time.sleep(0.1)
@@ -293,10 +289,10 @@ class Window:
         wait_for(lambda: self.logged(name), STEP_SECONDS, picture.name)
         return picture
 
-    def look_and_shoot(self, state: str) -> Path:
-        """The snapshot from a camera; once more where it shows what the last one did."""
+    def snapshot_from(self, state: str) -> Path:
+        """Take the snapshot of a camera; repeat it if it is the same as the last one."""
         for _ in range(2):
-            self.look(state)
+            self.set_camera(state)
             picture = self.snapshot()
             shown = picture.read_bytes()
             if shown != self.last:
@@ -306,7 +302,7 @@ class Window:
 
 
 def resample(source: Path, target: str, job: dict[str, Any]) -> None:
-    """The middle of the drawing, area-averaged to the size asked for, colours premultiplied."""
+    """Crop the middle of the drawing and area-average it to the job's size, premultiplied."""
     import numpy as np
     from PIL import Image
 
@@ -329,14 +325,14 @@ def resample(source: Path, target: str, job: dict[str, Any]) -> None:
     Image.fromarray(np.round(rgba * 255).astype(np.uint8), "RGBA").save(target)
 
 
-def shoot(job: dict[str, Any], views: list[Any], folder: Path, layers: int) -> Iterator[None]:
-    """Saves the views of a folder's project, one a step, in one window."""
+def take_views(job: dict[str, Any], views: list[Any], folder: Path, layers: int) -> Iterator[None]:
+    """Save the views of a folder's project in one window; yield after each view."""
     rows = job["height"] * max(1, MAX_ROWS // job["height"])
     window = None
     try:
         window = Window(folder, rows, layers)
         for view in views:
-            picture = window.look_and_shoot(view_state(job, view["camera_to_world"], rows))
+            picture = window.snapshot_from(view_state(job, view["camera_to_world"], rows))
             resample(picture, view["file"], job)
             picture.unlink()
             yield
@@ -346,7 +342,7 @@ def shoot(job: dict[str, Any], views: list[Any], folder: Path, layers: int) -> I
 
 
 def version(meshlab: str) -> str:
-    """The version of Debian's package; the program itself does not tell."""
+    """Return the version of Debian's package, because the program does not print it."""
     shown = subprocess.run(
         ["dpkg-query", "-W", "-f=${Version}", "meshlab"], capture_output=True, text=True
     ).stdout
@@ -355,12 +351,16 @@ def version(meshlab: str) -> str:
 
 
 def render(job: dict[str, Any], path: str) -> str:
-    """Renders the job in a MeshLab window, or two with and without ground; returns its version."""
+    """Render the job in one window, or in two if only some views have the ground.
+
+    Return MeshLab's version.
+    """
     purpose = "--renderer meshlab"
     meshlab = toolkit.need_program("meshlab", purpose)
     toolkit.need_program("Xvfb", purpose, "xvfb")
     toolkit.need_program("xdotool", purpose)
     toolkit.need_program("xclip", purpose)
+    toolkit.need_package("trimesh", purpose)
     if job["height"] > MAX_ROWS:
         raise toolkit.InputProblem(f"{purpose}: pictures have at most {MAX_ROWS} rows")
     from render_mitsuba import texture_of
@@ -378,7 +378,7 @@ def render(job: dict[str, Any], path: str) -> str:
     for with_ground, views in groups.items():
         folder = Path(job["work"]) / ("ground" if with_ground else "plain")
         write_scene(job, texture, folder, with_ground)
-        for _ in shoot(job, views, folder, 1 + with_ground):
+        for _ in take_views(job, views, folder, 1 + with_ground):
             done += 1
             toolkit.progress(done, len(job["views"]))
     return version(meshlab)

@@ -1,4 +1,4 @@
-"""Renders views with Mitsuba 3: OBJ and its texture, path tracing."""
+"""Render views with Mitsuba 3: OBJ and its texture, path tracing."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from typing import Any
 import scene
 import toolkit
 
-MINIMUM_LLVM = 17  # older ones have no lowering of llvm.minimum for AVX-512 and end the process
+MINIMUM_LLVM = 17  # older versions cannot lower llvm.minimum for AVX-512 and end the process
 
 
 def newest_llvm() -> str | None:
-    """The newest LLVM library that Mitsuba's vectorised variants can work with."""
+    """Return the newest LLVM library that Mitsuba's vectorised variants can use."""
     found = []
     for pattern in ("/usr/lib/*/libLLVM*.so*", "/usr/lib/llvm-*/lib/libLLVM*.so*"):
         for path in glob.glob(pattern):
@@ -27,7 +27,7 @@ def newest_llvm() -> str | None:
 
 
 def load_mitsuba() -> Any:
-    """Mitsuba with the fastest variant that works here."""
+    """Import Mitsuba with the fastest variant that works on this machine."""
     library = os.environ.get("DRJIT_LIBLLVM_PATH") or newest_llvm()
     if library:
         os.environ["DRJIT_LIBLLVM_PATH"] = library
@@ -37,7 +37,7 @@ def load_mitsuba() -> Any:
 
 
 def texture_of(obj: Path) -> Path | None:
-    """The picture that the OBJ's material names; Mitsuba does not read MTL files itself."""
+    """Return the picture that the OBJ's material names; Mitsuba does not read MTL files."""
     library = re.search(r"^mtllib\s+(.+)$", obj.read_text(errors="replace"), re.M)
     if not library:
         return None
@@ -49,7 +49,7 @@ def texture_of(obj: Path) -> Path | None:
 
 
 def scene_of(job: dict[str, Any], with_ground: bool) -> dict[str, Any]:
-    """The scene without a sensor."""
+    """Return the scene without a sensor."""
     picture = texture_of(Path(job["asset"]))
     color: dict[str, Any] = {"type": "rgb", "value": 0.5}
     if picture is not None:
@@ -76,7 +76,7 @@ def scene_of(job: dict[str, Any], with_ground: bool) -> dict[str, Any]:
 
 
 def ground_of(job: dict[str, Any]) -> dict[str, Any]:
-    """The matte disc below the object."""
+    """Return the matte disc below the object."""
     from mitsuba import ScalarTransform4f as Transform
 
     x, y, _ = job["centre"]
@@ -92,7 +92,7 @@ def ground_of(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def sensor_of(job: dict[str, Any], camera_to_world: list[float]) -> dict[str, Any]:
-    """Mitsuba looks along +z with x to the left: both turned against OpenGL."""
+    """Return a sensor. Mitsuba's camera looks along +z with x to the left, unlike OpenGL's."""
     import numpy as np
     from mitsuba import ScalarTransform4f as Transform
 
@@ -119,7 +119,7 @@ def sensor_of(job: dict[str, Any], camera_to_world: list[float]) -> dict[str, An
 
 
 def write_png(mitsuba: Any, pixels: Any, path: str) -> None:
-    """Linear premultiplied RGBA to 8 bit sRGB with straight alpha."""
+    """Write linear premultiplied RGBA as 8 bit sRGB with straight alpha."""
     import numpy as np
     from PIL import Image
 
@@ -132,7 +132,7 @@ def write_png(mitsuba: Any, pixels: Any, path: str) -> None:
 
 
 def render(job: dict[str, Any], path: str) -> str:
-    """Renders the job in this process; returns Mitsuba's version."""
+    """Render the job in this process; return Mitsuba's version."""
     mitsuba = load_mitsuba()
     scenes: dict[bool, Any] = {}
     for i, view in enumerate(job["views"]):

@@ -1,15 +1,15 @@
-"""Renders an asset from a set of cameras with Mitsuba, Blender or MeshLab, for tt3d.
+"""Render an asset from a list of cameras with Mitsuba, Blender or MeshLab.
 
     python render_views.py JOB.json
 
-The job names `renderer`, `asset` (GLB or OBJ; OBJ alone for Mitsuba and MeshLab), `lit`, `width`,
+The job has `renderer`, `asset` (GLB or OBJ; only OBJ for Mitsuba and MeshLab), `lit`, `width`,
 `height`, `fx`, `cx`, `cy`, `samples`, the object's `centre`, `radius` and `floor` (its lowest z), a
-`work` folder, `time_limit` in seconds a view and `views`: camera_to_world (16 numbers, row-major,
-OpenGL camera, +Z up world) and the PNG file (8 bit RGBA, straight alpha) to write. `version_file`
-receives the renderer's version.
+`work` folder, `time_limit` in seconds a view, and `views`. A view has camera_to_world (16 numbers,
+row-major, OpenGL camera, +Z up world) and the PNG file to write (8 bit RGBA, straight alpha). The
+renderer's version is written to `version_file`.
 
-Unlit pictures show the texture as it is. Lit ones have an environment of constant light, a sun and
-a matte ground disc below the object, wherever the camera is above it; MeshLab has its headlight.
+Unlit pictures show the texture as it is. Lit pictures have constant environment light, a sun, and a
+matte ground disc below the object if the camera is above it. MeshLab uses its headlight instead.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import toolkit
 
 
 def work(arguments: list[str]) -> None:
-    """Hands the job to the renderer it names."""
+    """Run the job with the renderer that it names."""
     (path,) = arguments
     job = toolkit.read_job(path)
     if job["renderer"] == "mitsuba":
@@ -32,7 +32,9 @@ def work(arguments: list[str]) -> None:
     elif job["renderer"] == "meshlab":
         import render_meshlab as renderer
     else:
-        raise toolkit.InputProblem(f"renderer {job['renderer']}: mitsuba, blender or meshlab")
+        raise toolkit.InputProblem(
+            f"renderer {job['renderer']}: expected mitsuba, blender or meshlab"
+        )
     version = renderer.render(job, path)
     Path(job["version_file"]).write_text(version)
 

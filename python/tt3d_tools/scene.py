@@ -1,4 +1,4 @@
-"""The lit scene that the other renderers share: light, ground, and when the ground shows."""
+"""The lit scene of the other renderers: light, ground, and when the ground is visible."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GROUND_RADII = 6.0  # radius of the ground disc, in radii of the object
 
 
 def sun_direction() -> tuple[float, float, float]:
-    """Unit vector from the object to the sun, +Z up."""
+    """Return the unit vector from the object to the sun, +Z up."""
     azimuth, elevation = math.radians(SUN_AZIMUTH_DEG), math.radians(SUN_ELEVATION_DEG)
     return (
         math.cos(elevation) * math.cos(azimuth),
@@ -24,5 +24,5 @@ def sun_direction() -> tuple[float, float, float]:
 
 
 def sees_ground(camera_to_world: list[float], floor: float, radius: float) -> bool:
-    """Whether the camera is above the ground; from below, the ground would hide the object."""
+    """Return whether the camera is above the ground, which hides the object from below."""
     return camera_to_world[11] > floor + 0.02 * radius

@@ -1,7 +1,7 @@
-"""What the tools that tt3d runs as child processes share: errors, progress, job files.
+"""Errors, progress and job files of the tools that tt3d runs as child processes.
 
-A tool prints `@progress DONE TOTAL` lines, ends with status 0, or says what is wrong in its last
-line and ends with 2 (input), 3 (missing tool) or 5 (resources), the statuses of tt3d itself.
+A tool prints `@progress DONE TOTAL` lines and ends with status 0. If it fails, its last line says
+why, and it ends with a status of tt3d itself: 2 (input), 3 (missing tool) or 5 (resources).
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from typing import Any, NoReturn
 
 
 class ToolError(Exception):
-    """Ends the tool with one line of text and an exit status."""
+    """An error that ends the tool with one line of text and an exit status."""
 
     status = 5
 
 
 class InputProblem(ToolError):
-    """Something is wrong with what the user gave."""
+    """The input is wrong."""
 
     status = 2
 
 
 class MissingTool(ToolError):
-    """A program, package or file that the work needs is absent; says how to get it."""
+    """A needed program, package or file is absent; the text says how to get it."""
 
     status = 3
 
 
 def need_package(name: str, purpose: str, package: str | None = None) -> Any:
-    """Imports a Python package; MissingTool with the install command where it is absent."""
+    """Import a Python package; raise MissingTool with the install command if it is absent."""
     import importlib
 
     try:
@@ -47,7 +47,7 @@ def need_package(name: str, purpose: str, package: str | None = None) -> Any:
 
 
 def need_program(name: str, purpose: str, package: str | None = None) -> str:
-    """Finds a program; MissingTool with the install command where it is absent."""
+    """Find a program; raise MissingTool with the install command if it is absent."""
     found = shutil.which(name)
     if found is None:
         raise MissingTool(
@@ -58,22 +58,22 @@ def need_program(name: str, purpose: str, package: str | None = None) -> str:
 
 
 def progress(done: int, total: int) -> None:
-    """Tells tt3d how far the work is."""
+    """Report the progress to tt3d."""
     print(f"@progress {done} {total}", flush=True)
 
 
 def note(text: str) -> None:
-    """Hands tt3d a line for its user."""
+    """Send a line to tt3d for the user."""
     print(f"@note {text}", flush=True)
 
 
 def read_job(path: str) -> dict[str, Any]:
-    """The JSON file that tt3d hands over."""
+    """Read the JSON file that tt3d passes."""
     return json.loads(Path(path).read_text())
 
 
 def run_checked(command: list[str], what: str, time_limit: float | None = None) -> str:
-    """Runs a program to its end; its last line of output is the error where it fails."""
+    """Run a program to its end; if it fails, its last line of output is the error text."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=time_limit)
     except subprocess.TimeoutExpired as error:
@@ -85,7 +85,7 @@ def run_checked(command: list[str], what: str, time_limit: float | None = None) 
 
 
 def main(work: Callable[[list[str]], None]) -> NoReturn:
-    """Runs a tool on the command line's arguments and ends the process as tt3d expects."""
+    """Run a tool on the command line's arguments and exit with the status that tt3d expects."""
     try:
         work(sys.argv[1:])
     except ToolError as error:

