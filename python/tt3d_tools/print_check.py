@@ -229,7 +229,7 @@ def gamut_finding(mesh: Mesh, palette: np.ndarray) -> dict[str, Any]:
     )
 
 
-def repair(mesh: Mesh, flat_base: float) -> tuple[Mesh, list[str]]:
+def repair(mesh: Mesh, flat_base_mm: float, size_mm: float) -> tuple[Mesh, list[str]]:
     """Remove broken faces and tiny parts, orient faces, close holes, flatten the base."""
     import numpy as np
 
@@ -253,8 +253,10 @@ def repair(mesh: Mesh, flat_base: float) -> tuple[Mesh, list[str]]:
     closed = close_holes(mesh)
     if closed:
         done.append(f"closed {closed} holes")
-    if flat_base > 0:
-        level = float(mesh.vertices[:, 2].min()) + flat_base
+    if flat_base_mm > 0:
+        low = mesh.vertices.min(0)  # without the parts that were removed
+        longest = float((mesh.vertices.max(0) - low).max())
+        level = float(low[2]) + flat_base_mm * longest / size_mm
         below = mesh.vertices[:, 2] < level
         mesh.vertices = mesh.vertices.copy()
         mesh.vertices[below, 2] = level
@@ -325,10 +327,9 @@ def work(arguments: list[str]) -> None:
 
     mesh = read_mesh(job["mesh"])
     palette = read_palette(job["gamut"]) if job["gamut"] else None
-    longest = float((mesh.vertices.max(0) - mesh.vertices.min(0)).max())
     repaired: list[str] = []
     if job["repair"]:
-        mesh, repaired = repair(mesh, job["flat_base_mm"] * longest / job["size_mm"])
+        mesh, repaired = repair(mesh, job["flat_base_mm"], job["size_mm"])
         write_mesh(mesh, job["repair"])
     scale_to(mesh, job["size_mm"])
     triangles = mesh.triangles()

@@ -1,4 +1,4 @@
-"""PSNR, SSIM and LPIPS against other implementations; distances between known surfaces."""
+"""Compare PSNR and SSIM with scikit-image, LPIPS with lpips, and distances with known surfaces."""
 
 from __future__ import annotations
 
@@ -13,12 +13,57 @@ np = pytest.importorskip("numpy")
 trimesh = pytest.importorskip("trimesh")
 
 TOOLS = Path(__file__).resolve().parents[2] / "python/tt3d_tools"
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 sys.path.insert(0, str(TOOLS))
+from tool_support import PROGRAM, TOY, tt3d, write_asset  # noqa: E402
+
+
+def over_white(path: Path) -> np.ndarray:
+    """Read a rendered view, composited over white, [H,W,3] in [0,1]."""
+    from PIL import Image
+
+    rgba = np.asarray(Image.open(path).convert("RGBA"), np.float64) / 255
+    return rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]
+
+
+@pytest.mark.skipif(not PROGRAM.exists(), reason=f"{PROGRAM} is not built")
+def test_psnr_and_ssim_agree_with_scikit_image(tmp_path: Path) -> None:
+    """The figures of an evaluation against scikit-image on the same rendered views."""
+    metrics = pytest.importorskip("skimage.metrics")
+    from PIL import Image
+
+    clean, attacked = write_asset(tmp_path, "clean"), write_asset(tmp_path, "attacked")
+    texels = np.asarray(Image.open(attacked.with_suffix(".png")), np.float64)
+    noise = np.random.default_rng(4).normal(0, 40, (64, 64, 3)).repeat(4, 0).repeat(4, 1)
+    changed = np.round(np.clip(texels + noise, 0, 255)).astype(np.uint8)
+    Image.fromarray(changed).save(attacked.with_suffix(".png"))
+    views = ["--views", 5, "--size", 128, "--seed", 7]
+    done = tt3d("evaluate", attacked, "--clean", clean, "--target", 0, "--victims", TOY, *views,
+                "--out", tmp_path / "record.json")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    for asset in (clean, attacked):
+        done = tt3d("render", asset, *views, "--out", tmp_path / asset.stem)
+        assert done.returncode == 0, done.stderr
+    psnr, gaussian, uniform = [], [], []
+    for file in sorted((tmp_path / "clean/test").glob("*.png")):
+        a, b = over_white(file), over_white(tmp_path / "attacked/test" / file.name)
+        psnr.append(metrics.peak_signal_noise_ratio(a, b, data_range=1))
+        options = {"channel_axis": 2, "data_range": 1}
+        uniform.append(metrics.structural_similarity(a, b, **options))
+        # The settings of Wang et al. (2004): a Gaussian of sigma 1.5 over 11 pixels.
+        options |= {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+        gaussian.append(metrics.structural_similarity(a, b, **options))
+    assert len(psnr) == 5
+    found = json.loads((tmp_path / "record.json").read_text())["naturalness"]
+    assert found["psnr"] == pytest.approx(np.mean(psnr), abs=1e-3)
+    assert found["ssim"] == pytest.approx(np.mean(gaussian), abs=1e-4)
+    # The test must be able to tell the windows apart.
+    assert abs(np.mean(uniform) - np.mean(gaussian)) > 1e-3
 
 
 @pytest.mark.parametrize("net", ["vgg", "alex", "squeeze"])
 def test_lpips_agrees_with_the_package(tmp_path: Path, net: str) -> None:
-    """A random backbone, given as a file of torchvision's keys."""
+    """The backbone is random and comes from a file with torchvision's keys."""
     lpips = pytest.importorskip("lpips")
     torch = pytest.importorskip("torch")
     torchvision = pytest.importorskip("torchvision")

@@ -1,4 +1,4 @@
-"""3MF, STL and PLY read by other programs; print checks on meshes with known faults."""
+"""Read our 3MF, STL and PLY with other programs; check meshes with known faults for printing."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def original(folder: Path) -> trimesh.Trimesh:
 
 
 def test_3mf_in_lib3mf(exported: Path) -> None:
-    """Millimetres, positions, and the texture place of every corner."""
+    """Check the unit, the positions, and the texture coordinates of a triangle."""
     import lib3mf
 
     model = lib3mf.get_wrapper().CreateModel()
@@ -60,11 +60,11 @@ def test_3mf_in_lib3mf(exported: Path) -> None:
     assert (np.asarray(Image.open(exported / "out.png").convert("RGB")) == texture()).all()
     mesh = trimesh.load(exported / "asset.obj", force="mesh", process=False)
     triangle = solid.GetTriangleProperties(17)
-    places = [group.GetTex2Coord(i) for i in triangle.PropertyIDs]
+    coordinates = [group.GetTex2Coord(i) for i in triangle.PropertyIDs]
     corners = points[list(solid.GetTriangle(17).Indices)] / SIZE * mesh.extents.max()
-    for place, corner in zip(places, corners, strict=True):
+    for found, corner in zip(coordinates, corners, strict=True):
         near = np.linalg.norm(mesh.vertices - corner, axis=1) < 1e-4
-        assert np.abs(mesh.visual.uv[near] - [place.U, place.V]).sum(axis=1).min() < 1e-4
+        assert np.abs(mesh.visual.uv[near] - [found.U, found.V]).sum(axis=1).min() < 1e-4
 
 
 @pytest.mark.parametrize("kind", ["3mf", "stl", "ply"])
@@ -88,7 +88,7 @@ def test_ply_has_the_colours_of_the_texture(exported: Path) -> None:
     checked = 0
     for vertex, uv in zip(flat.vertices[60:400:7], flat.visual.uv[60:400:7], strict=True):
         if not 0.05 < uv[0] < 0.95:
-            continue  # the seam has two places
+            continue  # a vertex on the seam has two texture coordinates
         near = int(np.linalg.norm(mesh.vertices - vertex * scale, axis=1).argmin())
         row, column = round((1 - uv[1]) * 256 - 0.5), round(uv[0] * 256 - 0.5)
         assert np.abs(found[near] - texture()[row, column]).max() <= 6
@@ -140,7 +140,7 @@ def check(*words: object) -> dict[str, dict]:
 
 
 def write_mesh(folder: Path, mesh: trimesh.Trimesh, name: str = "mesh") -> Path:
-    """An OBJ without uvs: one colour."""
+    """Write an OBJ without uvs, so with one colour."""
     path = folder / f"{name}.obj"
     lines = ["v {:.7g} {:.7g} {:.7g}".format(*v) for v in mesh.vertices]
     lines += ["f {} {} {}".format(*(f + 1)) for f in mesh.faces]
@@ -169,26 +169,46 @@ def test_a_box_is_printable_and_its_walls_are_its_sides(tmp_path: Path) -> None:
     assert not walls["ok"] and walls["value"]["share_below"] > 0.9
 
 
+def write_broken_asset(folder: Path) -> Path:
+    """The textured asset with a hole, twenty reversed faces, and a crumb beside it."""
+    path = write_asset(folder)
+    lines = path.read_text().splitlines()
+    faces = [line.split()[1:] for line in lines if line.startswith("f ")]
+    lines = [line for line in lines if not line.startswith("f ")]
+    del faces[700]
+    faces[40:60] = [face[::-1] for face in faces[40:60]]
+    first = 1 + sum(line.startswith("v ") for line in lines)
+    crumb = trimesh.creation.box((0.01, 0.01, 0.01)).apply_translation((2, 0, 0.5))
+    lines += ["v {:.7g} {:.7g} {:.7g}".format(*v) for v in crumb.vertices]
+    faces += [[f"{v + first}/1" for v in face] for face in crumb.faces]
+    lines += ["f " + " ".join(face) for face in faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 @needs_tools
-def test_faults_are_found_and_mended(tmp_path: Path) -> None:
-    """A ball with a hole, faces turned, and a crumb beside it."""
-    ball = trimesh.creation.icosphere(3)
-    faces = np.delete(ball.faces, [5], axis=0)
-    faces[40:60] = faces[40:60][:, ::-1]
-    crumb = trimesh.creation.icosphere(1, 0.01)
-    crumb.apply_translation([1.5, 0, 0])
-    broken = trimesh.util.concatenate([trimesh.Trimesh(ball.vertices, faces, process=False), crumb])
-    path = write_mesh(tmp_path, broken)
+def test_faults_are_found_and_repaired_and_the_texture_survives(tmp_path: Path) -> None:
+    path = write_broken_asset(tmp_path)
     before = check(path)
     assert not before["watertight"]["ok"] and before["watertight"]["advice"]
     assert not before["oriented"]["ok"]
     assert before["loose parts"]["value"] == 2
-    out = tmp_path / "mended.glb"
-    after = check(path, "--repair", out, "--flat-base", 2)
+    out, size, base = tmp_path / "repaired.glb", 100, 2
+    after = check(path, "--repair", out, "--size-mm", size, "--flat-base", base)
     for name in ("watertight", "oriented", "loose parts", "flat base"):
         assert after[name]["ok"], after[name]
-    mended = trimesh.load(out, force="mesh")
-    assert mended.extents.max() == pytest.approx(100, rel=0.02)
+    repaired = trimesh.load(out, force="mesh", process=False)
+    picture = np.asarray(repaired.visual.material.baseColorTexture.convert("RGB"))
+    assert (picture == texture()).all()
+    # Every corner has a texture coordinate that the unbroken asset has at the same position.
+    whole = trimesh.load(write_asset(tmp_path), force="mesh", process=False)
+    corners = whole.vertices * size / whole.extents.max()
+    corners[:, 2] = np.maximum(corners[:, 2], corners[:, 2].min() + base)
+    x, y, z = repaired.vertices.T  # glTF is Y-up
+    for place, uv in zip(np.stack([x, -z, y], 1), repaired.visual.uv, strict=True):
+        near = np.linalg.norm(corners - place, axis=1) < 1e-3
+        assert near.any()
+        assert np.abs(whole.visual.uv[near] - uv).sum(axis=1).min() < 1e-4
 
 
 @needs_tools
