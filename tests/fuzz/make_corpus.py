@@ -1,10 +1,10 @@
-"""Makes the seeds of the fuzz targets beside it, from the toy packages of tests/model/fixtures.
+"""Make the seeds of the fuzz targets from the toy packages of tests/model/fixtures.
 
     python tests/fuzz/make_corpus.py
 
-Zip: small archives, stored and deflated. Graph: graph and tables of weights, as graph_fuzz.cpp
-reads them. Card: the toy cards with short probes. Asset: a
-triangle as GLB, a quad as OBJ. The results are committed.
+zip: small archives, stored and deflated. graph: graph and tables of weights, in the layout of
+graph_fuzz.cpp. card: the toy cards with short probes. asset: a triangle as GLB and a quad as OBJ.
+The results are committed.
 """
 
 import io
@@ -29,7 +29,7 @@ def compact(value: object) -> bytes:
 
 
 def without(value: object, dropped: tuple[str, ...]) -> object:
-    """Drop keys that the reader does not look at, so that mutations hit what it does."""
+    """Remove keys that the reader ignores, so that mutations hit the keys that it reads."""
     if isinstance(value, dict):
         return {k: without(v, dropped) for k, v in value.items() if k not in dropped}
     return [without(v, dropped) for v in value] if isinstance(value, list) else value
@@ -59,7 +59,7 @@ def zip_seed(compression: int, entries: dict[str, bytes]) -> bytes:
 
 
 def zip_seeds() -> dict[str, bytes]:
-    """Return small archives of the kinds that the reader tells apart."""
+    """Return small archives of the kinds that the reader distinguishes."""
     good = {
         "m/archive_format": b"pt2", "m/archive_version": b"0", "m/byteorder": b"little",
         "m/models/model.json": b'{"graph_module":{"metadata":[1],"graph":[1.5,"x",null]}}',
@@ -75,7 +75,7 @@ def zip_seeds() -> dict[str, bytes]:
 
 
 def card_seed(name: str) -> bytes:
-    """Return a toy card whose probe is cut to one case and few numbers."""
+    """Return a toy card whose probe is reduced to one case and few numbers."""
     card = json.loads((FIXTURES / f"{name}.json").read_text())
     case = card["probe"]["cases"][0]
     case["gradient"] = case["gradient"][:4]
@@ -84,7 +84,7 @@ def card_seed(name: str) -> bytes:
 
 
 def glb_seed() -> bytes:
-    """Return a coloured triangle with uvs as GLB, behind the byte that chooses the reader."""
+    """Return a coloured triangle with uvs as GLB, after the byte that selects the reader."""
     points = struct.pack("<15f", 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1)
     binary = points + struct.pack("<3H2x", 0, 1, 2)
     views = [

@@ -1,4 +1,4 @@
-"""Our GLB and OBJ files read by trimesh: the same surface, uvs and texture as were written."""
+"""Read our GLB and OBJ files with trimesh and compare surface, uvs and texture."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def check_texture(mesh: trimesh.Trimesh, up_axis: int) -> None:
     image = getattr(material, "baseColorTexture", None) or material.image
     assert image.size == (24, 16)
     assert mesh.visual.uv.shape == (len(mesh.vertices), 2)
-    # trimesh counts v from the bottom; the texture's top is the north pole.
+    # In trimesh v starts at the bottom; the texture's top is the north pole.
     assert np.corrcoef(mesh.visual.uv[:, 1], mesh.vertices[:, up_axis])[0, 1] > 0.95
 
 
@@ -85,7 +85,7 @@ def test_a_million_faces_and_four_million_pixels_in_little_memory(tmp_path: Path
     ball.export(tmp_path / "ball.glb")
     out = tmp_path / "views"
     command = [program, "render", tmp_path / "ball.glb", "--out", out, "--views", "1"]
-    # The peak of this child alone, not of all children so far.
+    # The peak of this child only, not of all earlier children.
     measured = subprocess.run(
         [sys.executable, "-c",
          "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True);"

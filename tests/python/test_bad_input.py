@@ -1,4 +1,4 @@
-"""Every command that takes an asset, a run or a video says in one line what is wrong with it."""
+"""Every command that reads an asset, a run or a video reports a fault of it in one line."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def missing_materials(folder: Path) -> Path:
 
 
 def huge_file(folder: Path) -> Path:
-    """60 GB that take no room on the disk."""
+    """Write a sparse file of 60 GB."""
     path = folder / "huge.obj"
     path.write_text(TRIANGLES + FACES)
     os.truncate(path, 60 << 30)
@@ -83,7 +83,7 @@ def huge_file(folder: Path) -> Path:
 
 
 def huge_texture(folder: Path) -> Path:
-    """A PNG of some bytes that says it has 60,000 by 60,000 pixels."""
+    """Write a small PNG whose header says 60,000 by 60,000 pixels."""
     path = write_asset(folder)
 
     def chunk(kind: bytes, data: bytes) -> bytes:
@@ -97,7 +97,7 @@ def huge_texture(folder: Path) -> Path:
 
 
 def huge_count(folder: Path) -> Path:
-    """A GLB of 500 bytes whose accessors say that they hold four thousand million vertices."""
+    """Write a GLB of 500 bytes whose accessor says that it has four billion vertices."""
     count = 4_000_000_000
     document = {
         "asset": {"version": "2.0"},
@@ -123,7 +123,7 @@ def huge_count(folder: Path) -> Path:
     return path
 
 
-#: What is wrong, and the file that the line must name.
+#: For each fault, the function that writes the file, and the name that the error must have.
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "corrupt": (corrupt, "corrupt.glb"),
     "truncated": (truncated, "truncated.glb"),
@@ -142,7 +142,7 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 
 def commands(asset: Path, folder: Path) -> dict[str, list[object]]:
-    """All that take an asset."""
+    """Return a call of every command that reads an asset."""
     out = folder / "out"
     return {
         "evaluate": ["evaluate", asset, "--target", 0, "--victims", TOY, "--views", 1,
@@ -155,7 +155,7 @@ def commands(asset: Path, folder: Path) -> dict[str, list[object]]:
 
 
 def limited(words: list[object]) -> subprocess.CompletedProcess[str]:
-    """Runs the program with 12 GiB of address space: what wants more fails the test."""
+    """Run the program with 12 GiB of address space."""
     shell = 'ulimit -v 12582912; exec "$0" "$@"'
     return subprocess.run(
         ["bash", "-c", shell, str(PROGRAM), *map(str, words)],

@@ -1,4 +1,4 @@
-"""Exporters: packages, weights, cards. The C++ reader's half is tests/model and test_zoo.py."""
+"""Test the exporters: packages, weights, cards. tests/model and test_zoo.py test the reader."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""Judges of other tasks on small models of the real classes, made and saved here."""
+"""Test the judges of other tasks with small random models of the real classes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of methods: its plan, its figures, and the page of what is finished."""
+"""Test the table of methods: its plan, its figures, and its page."""
 
 import json
 import sys
@@ -21,7 +21,7 @@ ALL = (METHODS + OTHERS, tuple(OBJECTS))
 
 
 def finish(folder: Path, asr: dict[str, float], budget: int = 1200) -> None:
-    """Leaves what a finished attack leaves."""
+    """Write the files of a finished attack."""
     record = {
         "victims": [{"name": name, "asr": value} for name, value in asr.items()],
         "views": {"count": 100},
@@ -59,7 +59,7 @@ def test_another_budget_is_another_attack(tmp_path: Path) -> None:
 
 
 class Recorded(Table):
-    """A table that notes what it is told to run, each attack beside another; `bad` fails."""
+    """A table that records its calls; `together` attacks wait for each other, and `bad` fails."""
 
     def __init__(self, out: Path, together: int, bad: Cell | None = None) -> None:
         super().__init__(out, out / "tt3d", 1200)
@@ -79,7 +79,7 @@ class Recorded(Table):
 
 def test_attacks_run_side_by_side_after_their_objects_were_made_once(tmp_path: Path) -> None:
     cells = plan(("dual", "texture"), ("chicken", "siamese-cat"))[:4]
-    table = Recorded(tmp_path, together=2)  # alone, an attack would wait in vain
+    table = Recorded(tmp_path, together=2)  # an attack alone would wait until the timeout
     run_missing(table, cells, jobs=2, limit=60)
     assert sorted(c.name for c in table.attacked) == sorted(c.name for c in cells)
     assert table.prepared == list(dict.fromkeys(c.obj for c in cells))

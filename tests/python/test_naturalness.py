@@ -28,7 +28,7 @@ def over_white(path: Path) -> np.ndarray:
 
 @pytest.mark.skipif(not PROGRAM.exists(), reason=f"{PROGRAM} is not built")
 def test_psnr_and_ssim_agree_with_scikit_image(tmp_path: Path) -> None:
-    """The figures of an evaluation against scikit-image on the same rendered views."""
+    """Compare the figures of an evaluation with scikit-image on the same rendered views."""
     metrics = pytest.importorskip("skimage.metrics")
     from PIL import Image
 
@@ -147,7 +147,7 @@ def test_self_intersections_of_two_spheres_that_overlap() -> None:
     b.apply_translation([1.0, 0.1, 0.05])
     both = trimesh.util.concatenate([a, b])
     crossing = self_intersections(both)
-    # They cross along a circle at x = 0.5: only faces near it.
+    # The spheres cross along a circle at x = 0.5, so only faces near it count.
     centres = both.triangles_center[crossing]
     assert len(crossing) > 40
     assert np.abs(centres[:, 0] - 0.5).max() < 0.25

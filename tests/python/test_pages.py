@@ -1,4 +1,4 @@
-"""The pages on models are true: their commands run, and the tests they name exist."""
+"""Run the commands of the pages on models, and check that the tests they name exist."""
 
 import os
 import re

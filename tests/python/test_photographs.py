@@ -1,7 +1,7 @@
-"""Accuracy on labelled photographs: the C++ reader against PyTorch or the package's own card.
+"""Compare accuracy on labelled photographs: the C++ reader with PyTorch or the package's card.
 
-../shared/data holds 1,000 photographs named by WordNet id and three ready packages; without it
-these tests are skipped. By default every tenth photograph; all of them with TT3D_ZOO=1.
+../shared/data has 1,000 photographs named by WordNet id and three ready packages. Without it, these
+tests are skipped. By default they use every tenth photograph; with TT3D_ZOO=1 they use all.
 """
 
 import json
@@ -36,7 +36,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def classify(model: Path | str, folder: Path) -> dict:
-    """Return what `tt3d model classify --json` says of the photographs."""
+    """Return the output of `tt3d model classify --json` for the photographs."""
     command = [PROGRAM, "model", "classify", model, folder, "--json"]
     return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
@@ -50,8 +50,8 @@ def test_lite_is_as_accurate_as_in_pytorch(name: str, photographs: Path) -> None
     answer = classify(archive, photographs)
     print(f"{name}: C++ {answer['top1']}, PyTorch {expected['top1']} of {answer['n']}")
     assert answer["n"] == expected["n"]
-    # Pillow rounds to 8 bits after resizing, the C++ side does not: one picture of the tenth may
-    # differ.
+    # Pillow rounds to 8 bits after resizing and the C++ side does not, so one picture of this tenth
+    # may differ.
     assert answer["top1"] == pytest.approx(expected["top1"], abs=0.005 if WHOLE else 0.0101)
 
 
@@ -61,6 +61,6 @@ def test_ready_package_is_as_accurate_as_its_card_says(name: str, photographs: P
     card = json.loads(path.with_suffix(".json").read_text())
     answer = classify(path, photographs)
     print(f"{name}: C++ {answer['top1']}, card {card['top1']} of {answer['n']}")
-    # The card counts all 1,000; a tenth of them scatters around that.
+    # The card's accuracy is over all 1,000; that of a tenth scatters around it.
     spread = 0.005 if WHOLE else 3 * (card["top1"] * (1 - card["top1"]) / answer["n"]) ** 0.5
     assert answer["top1"] == pytest.approx(card["top1"], abs=spread)

@@ -1,4 +1,4 @@
-"""The table of renderers: its rows, what counts as finished, and the page of what is there."""
+"""Test the table of renderers: its rows, its finished records, and its page."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from renderer_table import Condition, Table, conditions  # noqa: E402
 
 
 def make_run(folder: Path) -> Path:
-    """Leaves what the table reads of a finished run."""
+    """Write the files of a finished run that the table reads."""
     (folder / "asset").mkdir(parents=True)
     (folder / "asset/adversarial.glb").write_bytes(b"an asset")
     config = {"attack.surrogates": '["efficientnet_lite0"]'}
@@ -32,7 +32,7 @@ def make_run(folder: Path) -> Path:
 def write_record(
     path: Path, condition: Condition, asset: Path, asr: float, views: int = 20
 ) -> None:
-    """Leaves what an evaluation leaves, with two pictures."""
+    """Write the record of an evaluation and two pictures."""
     record = {
         "asset_sha256": run_folders.sha256(asset),
         "target": {"index": 849, "name": "teapot"},

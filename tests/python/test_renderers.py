@@ -1,4 +1,4 @@
-"""The same asset from the same cameras in four renderers."""
+"""Render the same asset from the same cameras in four renderers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def skip_without(renderer: str) -> None:
 
 @pytest.fixture(scope="module")
 def assets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The asset as OBJ, and as a GLB that tt3d wrote."""
+    """Return the asset as OBJ, and as a GLB that tt3d wrote."""
     if not PROGRAM.exists():
         pytest.skip(f"{PROGRAM} is not built")
     folder = tmp_path_factory.mktemp("asset")
@@ -47,7 +47,7 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def pictures(asset: Path, folder: Path, *options: str) -> np.ndarray:
-    """[N,H,W,4] in [0,1], straight alpha."""
+    """Read pictures as [N,H,W,4] in [0,1], straight alpha."""
     done = tt3d("render", asset, "--views", VIEWS, "--size", 160, "--out", folder, *options)
     assert done.returncode == 0, done.stderr
     files = [folder / f"test/r_{i}.png" for i in range(VIEWS)]
@@ -64,7 +64,7 @@ def psnr_on_object(a: np.ndarray, b: np.ndarray) -> float:
 def test_unlit_pictures_agree_with_ours(
     assets: dict[str, Path], tmp_path: Path, renderer: str, kind: str
 ) -> None:
-    """Wrong axes, a flipped texture or another colour space cost more than 10 dB each."""
+    """Wrong axes, a flipped texture or a wrong colour space would each cost more than 10 dB."""
     skip_without(renderer)
     if (renderer, kind) == ("meshlab", "obj"):
         pytest.skip("MeshLab is given the same file for both")
@@ -73,13 +73,13 @@ def test_unlit_pictures_agree_with_ours(
     assert psnr_on_object(ours, theirs) > 30
     inside = np.minimum(ours[..., 3], theirs[..., 3]).sum()
     assert inside / np.maximum(ours[..., 3], theirs[..., 3]).sum() > 0.97
-    # The measure tells: the same pictures mirrored are far apart.
+    # The measure is sensitive: mirrored pictures are far apart.
     assert psnr_on_object(ours, theirs[:, :, ::-1]) < 25
 
 
 @pytest.mark.parametrize("renderer", ["mitsuba", "blender", "meshlab"])
 def test_a_steep_texture_agrees_where_pixels_are_averaged(tmp_path: Path, renderer: str) -> None:
-    """What an attack makes: contrasts of a few texels, finer than a pixel where seen aslant."""
+    """An adversarial texture has contrasts of a few texels, finer than a pixel at flat angles."""
     skip_without(renderer)
     asset = write_asset(tmp_path)
     random = np.random.default_rng(1)
@@ -118,7 +118,7 @@ def test_lit_pictures_have_ground_and_shadow(
 def test_meshlab_has_the_ground_where_the_camera_is_above_it(
     assets: dict[str, Path], tmp_path: Path
 ) -> None:
-    """One grey, as its lamp casts no shadow; none from below, where it would hide the object."""
+    """MeshLab's ground has one grey, as its lamp casts no shadow, and is left out from below."""
     skip_without("meshlab")
     unlit = pictures(assets["glb"], tmp_path / "unlit")
     lit = pictures(assets["glb"], tmp_path / "lit", "--renderer", "meshlab", "--lit")
@@ -130,7 +130,7 @@ def test_meshlab_has_the_ground_where_the_camera_is_above_it(
         if height > 15:
             assert ground.mean() > 0.2
             levels = picture[ground][:, :3]
-            # Pixels on the object's edge hold some of it.
+            # Pixels on the object's edge contain some of the object.
             assert np.quantile(np.ptp(levels, axis=1), 0.98) < 0.01
             assert np.ptp(np.quantile(levels, [0.05, 0.95])) < 0.03
         elif height < -15:
@@ -162,7 +162,7 @@ def test_light_needs_another_renderer(assets: dict[str, Path], tmp_path: Path) -
 
 @pytest.mark.parametrize("renderer", ["blender", "meshlab"])
 def test_a_missing_tool_is_named(assets: dict[str, Path], tmp_path: Path, renderer: str) -> None:
-    """With an empty PATH no tool is there."""
+    """With an empty PATH no program is found."""
     done = subprocess.run(
         [PROGRAM, "render", assets["glb"], "--views", "1", "--renderer", renderer,
          "--out", tmp_path / "x"],
@@ -174,7 +174,7 @@ def test_a_missing_tool_is_named(assets: dict[str, Path], tmp_path: Path, render
 
 
 def test_a_hang_is_an_error(assets: dict[str, Path], tmp_path: Path) -> None:
-    """A MeshLab that never opens a window."""
+    """Run with a fake MeshLab that never opens a window."""
     for tool in NEEDS["meshlab"][1:]:
         if shutil.which(tool) is None:
             pytest.skip(f"{tool} is not installed (scripts/setup --all)")

@@ -1,4 +1,4 @@
-"""The report page opened from disk in headless Chromium: it draws, and the console stays clean."""
+"""Open the report from disk in headless Chromium: it draws, and the console stays empty."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BUILD = Path(os.environ.get("TT3D_BUILD", ROOT / "build/release"))
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 DRIVER = shutil.which("chromedriver")
-PATIENCE = 120  # seconds; starting software WebGL on a cold, busy machine takes some
+PATIENCE = 120  # seconds; software WebGL starts slowly on a busy machine
 
 pytestmark = pytest.mark.skipif(
     BROWSER is None or DRIVER is None, reason="chromium or chromium-driver is not installed"
@@ -71,12 +71,12 @@ def root_attribute(driver: webdriver.Chrome, name: str) -> str | None:
 
 
 def viewer_state(driver: webdriver.Chrome) -> str:
-    """What became of the 3D view, once the page knows."""
+    """Wait for the state of the 3D view and return it."""
     return WebDriverWait(driver, PATIENCE).until(lambda d: root_attribute(d, "data-viewer"))
 
 
 def console_lines(driver: webdriver.Chrome) -> list[str]:
-    """What the page wrote to the console; remarks of the graphics driver are not the page's."""
+    """Return the page's console messages without those of the graphics driver."""
     lines = [entry["message"] for entry in driver.get_log("browser")]
     return [line for line in lines if not re.search(r"GL Driver Message|software WebGL", line)]
 
@@ -86,7 +86,7 @@ def test_objects_are_drawn_and_the_console_is_clean(page: Path) -> None:
         driver.get(f"{page.as_uri()}#measure")
         assert viewer_state(driver) == "drawn"
         shares = [float(share) for share in root_attribute(driver, "data-coverage").split()]
-        # A sphere in the middle of each picture.
+        # There is a sphere in the middle of each picture.
         assert len(shares) == 2
         assert all(0.1 < share < 0.6 for share in shares)
         assert console_lines(driver) == []
@@ -115,7 +115,7 @@ def test_nothing_sticks_out_at_the_side(page: Path, width: int) -> None:
         shown, needed = driver.execute_script(
             "const e = document.documentElement; return [e.clientWidth, e.scrollWidth]"
         )
-        assert width - 20 <= shown == needed  # a scroll bar at the right is no part of the page
+        assert width - 20 <= shown == needed  # a scroll bar at the right is not part of the page
         assert console_lines(driver) == []
 
 
@@ -183,7 +183,7 @@ def test_arrow_keys_turn_the_object(page: Path) -> None:
 
 
 def test_what_a_screen_reader_is_told(page: Path) -> None:
-    """The browser's accessibility tree: landmarks, headings in order, names of all pictures."""
+    """Check the accessibility tree: landmarks, headings in order, names of all pictures."""
     with browser() as driver:
         driver.get(page.as_uri())
         assert viewer_state(driver) == "drawn"

@@ -1,4 +1,4 @@
-"""The program from outside: one small run end to end, killed and resumed, and users' mistakes."""
+"""Test the program from outside: a small run, killed and resumed, and users' mistakes."""
 
 import csv
 import hashlib
@@ -85,7 +85,7 @@ RESULTS = [
 
 
 def tt3d(*arguments: str | Path, timeout: float = 170) -> subprocess.CompletedProcess[str]:
-    """Runs the program with two threads."""
+    """Run the program with two threads."""
     environment = os.environ | {"OMP_NUM_THREADS": "2", "OMP_WAIT_POLICY": "PASSIVE"}
     return subprocess.run(
         [PROGRAM, *map(str, arguments)],
@@ -98,13 +98,13 @@ def tt3d(*arguments: str | Path, timeout: float = 170) -> subprocess.CompletedPr
 
 
 def hashes(run: Path) -> dict[str, str]:
-    """SHA-256 of every result that must not depend on how the run went."""
+    """Return the SHA-256 of every result that must be the same after an interruption."""
     return {name: hashlib.sha256((run / name).read_bytes()).hexdigest() for name in RESULTS}
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished small run."""
+    """Return the folder of a finished small run."""
     folder = tmp_path_factory.mktemp("run")
     (folder / "small.toml").write_text(SMALL)
     done = tt3d("run", folder / "small.toml", "--out", folder / "out")
@@ -144,7 +144,7 @@ def test_report_again_takes_what_has_come_to_eval(finished: Path, tmp_path: Path
 
 
 def add_video(run: Path) -> dict:
-    """What `video-score --out RUN/eval/take.json` leaves, of one frame."""
+    """Write the files of `video-score --out RUN/eval/take.json` with one frame."""
     image = pytest.importorskip("PIL.Image")
     answer = {"victim": "toy", "answer": "teapot", "probability": 0.5, "is_target": True}
     frame = {"picture": "00000.jpg", "seconds": 1.5, "background": "grass", "answers": [answer]}
@@ -163,14 +163,14 @@ def test_report_shows_a_videos_frames(finished: Path, tmp_path: Path) -> None:
     assert tt3d("report", run).returncode == 0
     page = (run / "report.html").read_text()
     assert 'aria-label="Frames of take.mp4"' in page and 'alt="frame at 1.5' in page
-    # A name that leads out of the folder leads nowhere.
+    # A name outside the folder is not shown.
     record["strip"][0]["picture"] = "../../../secret.jpg"
     (run / "eval/take.json").write_text(json.dumps(record))
     one_line(tt3d("report", run), 2, "secret.jpg")
     record["strip"] = [{"picture": 3}]
     (run / "eval/take.json").write_text(json.dumps(record))
     one_line(tt3d("report", run), 2, "take.json")
-    # Without the pictures the shares are left.
+    # Without the pictures, the shares remain.
     shutil.rmtree(run / "eval/take.frames")
     assert tt3d("report", run).returncode == 0
     page = (run / "report.html").read_text()
@@ -279,7 +279,7 @@ def test_killed_at_random_moments_gives_the_same_bytes(finished: Path, tmp_path:
 
 
 def test_assets_are_in_the_inputs_coordinates(finished: Path) -> None:
-    # The hen stands about 1.4 units tall around the origin of its own scene.
+    # In its own scene the hen is about 1.4 units tall, around the origin.
     info = json.loads(tt3d("info", finished / "out/asset/clean.glb", "--json").stdout)
     frame = json.loads((finished / "out/asset/views.json").read_text())
     for low, high, centre in zip(info["low"], info["high"], frame["centre"], strict=True):
@@ -345,7 +345,7 @@ def test_attack_again_by_another_method_up_to_the_asset(finished: Path, tmp_path
     assert tt3d(*attack).returncode == 0
     config = json.loads((run / "run.json").read_text())["config"]
     assert config["attack.optimize"] == '["vertex-colors", "vertices"]'
-    assert config["attack.steps"] == "15"  # the file's, as before
+    assert config["attack.steps"] == "15"  # the value of the file, as before
     done = tt3d("bake", run)
     assert done.returncode == 0, done.stderr
     assert hashes(run)["asset/clean.glb"] == hashes(finished / "out")["asset/clean.glb"]
@@ -371,7 +371,7 @@ QUICK = [
 
 
 def span(path: Path) -> list[float]:
-    """Lowest and highest x, y and z of an OBJ file's vertices."""
+    """Return the lowest and highest x, y and z of an OBJ file's vertices."""
     lines = [line.split()[1:4] for line in path.read_text().splitlines() if line[:2] == "v "]
     axes = list(zip(*(map(float, line) for line in lines), strict=True))
     return [edge for axis in axes for edge in (min(axis), max(axis))]
@@ -386,7 +386,7 @@ def test_an_asset_takes_the_place_of_a_capture(finished: Path, tmp_path: Path, m
     assert done.returncode == 0, done.stderr
     done = tt3d("bake", run)
     assert done.returncode == 0, done.stderr
-    # In the asset's own coordinates; three steps hardly move a vertex.
+    # The bounds are in the asset's coordinates; three steps hardly move a vertex.
     before, after = span(finished / "out/asset/clean.obj"), span(run / "asset/adversarial.obj")
     assert after == pytest.approx(before, abs=0.02)
     one_line(tt3d("report", run), 2, "evaluate.victims")
@@ -441,7 +441,7 @@ def test_a_drawn_mask_keeps_the_rest_of_the_texture(finished: Path, tmp_path: Pa
     assert tt3d("bake", run).returncode == 0
     before = np.asarray(clean).astype(int)
     change = np.abs(np.asarray(Image.open(run / "asset/adversarial.png")).astype(int) - before)
-    # Triangles cross the line; a tenth of the width beyond it, none does.
+    # Triangles cross the line, but none reaches a tenth of the width beyond it.
     assert change[:, : clean.width // 2].max() > 0
     assert change[:, clean.width * 6 // 10 :].max() == 0
 
@@ -450,7 +450,7 @@ def test_a_detector_is_scored_and_attacked_where_it_sees_most(
     finished: Path, tmp_path: Path
 ) -> None:
     detector = MODEL.with_name("toy_detector.pt2")
-    done = tt3d("model", "check", detector)  # logits and gradient against the card's
+    done = tt3d("model", "check", detector)  # compares logits and gradient with the card
     assert done.returncode == 0, done.stderr
     run = shutil.copytree(finished / "out", tmp_path / "out")
     done = tt3d("attack", run, "--surrogate", detector, "--target", "teapot", *QUICK)
@@ -501,7 +501,7 @@ def test_every_transform_has_a_row_in_the_page() -> None:
 
 
 def one_line(done: subprocess.CompletedProcess[str], code: int, *parts: str) -> None:
-    """The program ended with this code and one line that has these parts."""
+    """Check that the program ended with this code and one line that has these parts."""
     assert done.returncode == code, done.stderr
     lines = [line for line in done.stderr.splitlines() if line.strip()]
     assert len(lines) == 1, done.stderr
@@ -510,7 +510,7 @@ def one_line(done: subprocess.CompletedProcess[str], code: int, *parts: str) -> 
 
 
 def small(tmp_path: Path, *changes: tuple[str, str]) -> Path:
-    """The small configuration with replacements, as a file."""
+    """Write the small configuration with replacements to a file."""
     text = SMALL
     for old, new in changes:
         assert old in text
@@ -564,7 +564,7 @@ def test_an_iso_above_every_density_is_bounded_and_gives_a_mesh(tmp_path: Path) 
 
 
 def test_empty_mesh(tmp_path: Path) -> None:
-    """A field whose occupancy grid is empty has no surface: one line names what to change."""
+    """A field with an empty occupancy grid has no surface; one line says what to change."""
     run = tmp_path / "o"
     fast = ["field.steps=1", "field.occupancy=64", "mesh.resolution=32", "capture.max_size=64"]
     settings = [word for setting in fast for word in ("--set", setting)]

@@ -1,4 +1,4 @@
-"""Videos that the project renders, scored again: turns, boxes, labels, tracking, bad files."""
+"""Score videos that the project renders: turns, boxes, labels, tracking, bad files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def ffmpeg(*words: object) -> None:
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A turn in 2 s, blurred and compressed."""
+    """Return a video of a turn in 2 s, blurred and compressed."""
     folder = tmp_path_factory.mktemp("video")
     obj = write_asset(folder)
     done = tt3d(
@@ -84,7 +84,7 @@ def test_shares_can_be_counted_again_from_the_rows(video: Path, tmp_path: Path) 
 
 
 def test_a_moving_camera_in_blender_before_two_backgrounds(tmp_path: Path) -> None:
-    """The closest to a phone's video: light, shadow, ground, motion blur, compression."""
+    """The video is like one of a phone: light, shadow, ground, motion blur, compression."""
     if shutil.which("blender") is None:
         pytest.skip("blender is not installed (scripts/setup --all)")
     from video_frames import sample
@@ -118,7 +118,7 @@ def test_a_moving_camera_in_blender_before_two_backgrounds(tmp_path: Path) -> No
 
 
 def test_rotation_of_a_phone_is_obeyed(video: Path, tmp_path: Path) -> None:
-    """A frame of 96 x 64, upright when turned clockwise: the red edge is at the top."""
+    """A frame of 96 x 64 is upright when rotated clockwise: the red edge is at the top."""
     picture = np.zeros((64, 96, 3), np.uint8)
     picture[:, :16] = (255, 0, 0)
     Image.fromarray(picture).save(tmp_path / "frame.png")
@@ -148,7 +148,7 @@ def test_a_box_and_a_mask_cut_the_same(video: Path, tmp_path: Path) -> None:
 
 
 def test_a_tracker_follows(tmp_path: Path) -> None:
-    """A textured square that moves 60 pixels to the right."""
+    """Make a video of a textured square that moves 60 pixels to the right."""
     pytest.importorskip("cv2")
     random = np.random.default_rng(3)
     patch = random.integers(0, 256, (40, 40, 3)).astype(np.uint8)
@@ -166,13 +166,13 @@ def test_a_tracker_follows(tmp_path: Path) -> None:
 
 
 def sample_measured(video: Path, frames: int) -> tuple[int, int, int]:
-    """Frames sampled, and the peak memory in kB of the sampling and of ffmpeg."""
+    """Return the sampled frames, and the peak memory in kB of the sampling and of ffmpeg."""
     script = (
         "import json, resource, sys\n"
         "sys.path.insert(0, sys.argv[1])\n"
         "from video_frames import sample\n"
         "found = sample(json.loads(sys.argv[2]))\n"
-        # Of this program alone: ru_maxrss begins with what the parent had.
+        # The peak of this program only: ru_maxrss starts with the parent's value.
         "status = open('/proc/self/status').read()\n"
         "peak = int(status.split('VmHWM:')[1].split()[0])\n"
         "child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss\n"
@@ -189,7 +189,7 @@ def sample_measured(video: Path, frames: int) -> tuple[int, int, int]:
 
 
 def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
-    """4K frames at 60 a second; few of ten minutes' would already fill memory if they were kept."""
+    """Sampling 4K frames at 60 a second does not keep decoded frames in memory."""
     ffmpeg("-f", "lavfi", "-i", "testsrc2=size=3840x2160:rate=60:duration=2", "-preset",
            "ultrafast", tmp_path / "large.mp4")  # fmt: skip
     frames, peak, child = sample_measured(tmp_path / "large.mp4", 30)
@@ -198,7 +198,7 @@ def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
 
 
 def test_ten_minutes_of_4k_take_seconds(tmp_path: Path) -> None:
-    """36,000 frames of 4K: decoding all would take many minutes."""
+    """36,000 frames of 4K are sought; decoding all would take many minutes."""
     ffmpeg("-f", "lavfi", "-i", "color=teal:size=3840x2160:rate=60:duration=2", "-preset",
            "ultrafast", tmp_path / "two.mp4")  # fmt: skip
     (tmp_path / "list.txt").write_text("file two.mp4\n" * 300)
@@ -209,11 +209,11 @@ def test_ten_minutes_of_4k_take_seconds(tmp_path: Path) -> None:
     spent = after.ru_utime - before.ru_utime
     assert frames == 30
     assert peak < 400_000 and child < 1_500_000  # kB
-    assert spent < 200  # seconds of all processors; all frames take thousands
+    assert spent < 200  # processor seconds; decoding all frames takes thousands
 
 
 def test_frames_far_apart_are_those_of_their_time(tmp_path: Path) -> None:
-    """A minute that brightens evenly; every sixth second of it is asked for."""
+    """In a minute that brightens evenly, every sixth second is sampled."""
     from video_frames import sample
 
     ffmpeg("-f", "lavfi", "-i", "nullsrc=size=64x48:rate=10:duration=60,geq=lum='16+3.5*T':"

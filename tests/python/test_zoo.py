@@ -1,7 +1,8 @@
-"""Architectures with random weights: the C++ reader against PyTorch, at batch 1, 3 and 8.
+"""Compare the C++ reader with PyTorch on random weights, at batch 1, 3 and 8.
 
-The probe of a card is that comparison, `tt3d model check --json` reports it. By default a few
-small networks, one of each kind; with TT3D_ZOO=1 the paper's eleven and all families below.
+`tt3d model check --json` reports the comparison, which is the probe of a card. By default the tests
+use a few small networks, one of each kind. With TT3D_ZOO=1 they use the paper's eleven and all
+families below.
 """
 
 import json
@@ -25,7 +26,7 @@ SMALL = (
     "timm:vit_tiny_patch16_224", "timm:convnext_atto", "timm:regnety_002", "timm:levit_128s",
     "timm:xcit_nano_12_p16_224", "timm:mixer_s16_224", "timm:mobilevit_xxs",
 )  # fmt: skip
-# Not visformer_tiny: with random weights PyTorch's float32 gradients are 6 % off its float64 ones.
+# visformer_tiny is left out: with random weights, PyTorch's float32 gradients are 6 % off float64.
 TIMM = (
     "resnetv2_50", "resnest14d", "res2net50_14w_8s", "regnety_002", "tf_efficientnet_lite0",
     "mobilenetv3_small_050", "mobilenetv4_conv_small", "ghostnet_050", "rexnet_100", "dla34",

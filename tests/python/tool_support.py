@@ -1,4 +1,4 @@
-"""What the tests of tools share: the program, and an asset without any symmetry."""
+"""Helpers of the tests of tools: the program, and an asset without symmetry."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ TOY = ROOT / "tests/model/fixtures/toy_cnn.pt2"
 
 
 def tt3d(*words: object, timeout: float = 500) -> subprocess.CompletedProcess[str]:
-    """Runs the program."""
+    """Run the program."""
     return subprocess.run(
         [PROGRAM, *map(str, words)], capture_output=True, text=True, timeout=timeout, cwd=ROOT
     )
 
 
 def texture() -> np.ndarray:
-    """Smooth, and different in every corner and channel."""
+    """Return a smooth texture that differs in every corner and channel."""
     y, x = np.mgrid[0:256, 0:256] / 255.0
     red = 0.2 + 0.6 * x
     green = 0.3 + 0.5 * y * (1 - 0.4 * x)
@@ -34,7 +34,7 @@ def texture() -> np.ndarray:
 def write_asset(
     folder: Path, name: str = "asset", radii: tuple[float, ...] = (1, 0.8, 0.6)
 ) -> Path:
-    """A bumpy ellipsoid away from the origin as OBJ, closed, uvs by angle with a seam."""
+    """Write a closed, bumpy ellipsoid off the origin as OBJ, with uvs by angle and a seam."""
     rows, columns = 24, 48
     vertices, uvs, faces = [], [], []
     for i in range(rows + 1):
