@@ -19,11 +19,11 @@ def demo_row(options: str, folder: Path) -> list[str]:
     run = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     record = json.loads((folder / "eval/builtin.json").read_text(encoding="utf-8"))
     field = json.loads((folder / "field/metrics.json").read_text(encoding="utf-8"))
-    mesh = json.loads((folder / "mesh/metrics.json").read_text(encoding="utf-8"))
+    asset = json.loads((folder / "asset/metrics.json").read_text(encoding="utf-8"))
     seconds = sum(s["seconds"] for s in run["stages"])
     stages = ", ".join(f"{s['name']} {s['seconds']:.0f}" for s in run["stages"])
     rates = ", ".join(f"{v['name']} {100 * v['asr']:.0f} %" for v in record["victims"])
-    psnr = f"{field['psnr_test']:.2f} dB, {mesh['psnr_test_baked']:.2f} dB"
+    psnr = f"{field['psnr_test']:.2f} dB, {asset['psnr_test']:.2f} dB"
     return [f"`{options}`", f"{seconds:.0f} s ({stages})", rates, psnr]
 
 

@@ -17,7 +17,9 @@
 #include "tt3d/gpu_options.h"
 #include "tt3d/mesh.h"
 #include "tt3d/model.h"
+#include "tt3d/optimize.h"
 #include "tt3d/raster.h"
+#include "tt3d/surface.h"
 #include "tt3d/tensor_file.h"
 
 // Run by scripts/gpu-check.
@@ -25,9 +27,9 @@
 //   gpu_speed                 times each operator, forward and backward, on the CPU and on the GPU;
 //                             prints rows of a Markdown table: operator, size, milliseconds on both
 //                             (median of the repetitions), their ratio
-//   gpu_speed --peers MESH    times what bench/gpu_peers.py compares with other programs, on the
-//                             GPU alone; prints {name: milliseconds}. MESH: as for kernel_bench
-//   gpu_speed --profile MESH  the same, each three times and untimed, for a profiler
+//   gpu_speed --peers MESH    times the cases that bench/gpu_peers.py compares with other programs,
+//                             on the GPU only; prints {name: milliseconds}. MESH: see kernel_bench
+//   gpu_speed --profile MESH  runs each of these cases three times, untimed, for a profiler
 namespace tt3d {
 namespace {
 
@@ -36,7 +38,7 @@ using at::Tensor;
 /// Prepares inputs on a device and returns the work to time.
 using Case = std::function<std::function<void()>(at::Device)>;
 
-/// Waits for the device by bringing one number back.
+/// Waits for the device by copying one number to the host.
 void wait_for(at::Device device) {
   if (device.is_cuda()) (void)at::zeros({1}, at::TensorOptions().device(device)).item<float>();
 }
@@ -74,7 +76,7 @@ Tensor random(at::IntArrayRef shape, double low, double high, uint64_t seed, at:
   return testing::uniform(shape, low, high, seed).to(device, at::kFloat);
 }
 
-/// Runs the function and goes back through it with a gradient of ones.
+/// Runs the function, then its backward pass with a gradient of ones.
 std::function<void()> both_ways(std::vector<Tensor> inputs,
                                 std::function<Tensor(const std::vector<Tensor>&)> function) {
   return [inputs, function] {
@@ -89,10 +91,10 @@ std::function<void()> both_ways(std::vector<Tensor> inputs,
 
 Case hash_case(int64_t points) {
   return [points](at::Device device) {
-    const HashGridShape shape;
+    const field::HashGridShape shape;
     return both_ways({random({shape.entries(), 2}, -1, 1, 1, device)},
                      [shape, x = random({points, 3}, -1, 1, 2, device)](const auto& in) {
-                       return hash_encode(x, in[0], shape);
+                       return field::hash_encode(x, in[0], shape);
                      });
   };
 }
@@ -103,7 +105,7 @@ Case mlp_case(int64_t points, bool half) {
                       random({64, 64}, -1, 1, 5, device), random({6, 64}, -1, 1, 6, device)},
                      [half](const auto& in) {
                        const std::vector<Tensor> weights = {in[1], in[2], in[3]};
-                       return half ? half_mlp(in[0], weights) : mlp(in[0], weights);
+                       return half ? field::half_mlp(in[0], weights) : field::mlp(in[0], weights);
                      });
   };
 }
@@ -111,13 +113,14 @@ Case mlp_case(int64_t points, bool half) {
 /// Rasterizes, interpolates colours, antialiases; gradients to positions and colours.
 std::function<void()> drawing(const Tensor& clip, const Tensor& colors, const Tensor& faces,
                               int64_t size) {
-  return both_ways({clip, colors}, [faces, twins = edge_twins(faces), size](const auto& in) {
-    const Tensor rast = rasterize(in[0], faces, size, size);
-    return antialias(interpolate(in[1], rast, faces), rast, in[0], faces, twins);
+  return both_ways({clip, colors}, [faces, twins = raster::edge_twins(faces),
+                                    size](const auto& in) {
+    const Tensor rast = raster::rasterize(in[0], faces, size, size);
+    return raster::antialias(raster::interpolate(in[1], rast, faces), rast, in[0], faces, twins);
   });
 }
 
-/// Rendering a sphere with a colour a vertex.
+/// Renders a sphere with one colour per vertex.
 Case render_case(int levels, int64_t size) {
   return [levels, size](at::Device device) {
     const testing::Shape shape = testing::sphere(levels);
@@ -138,15 +141,17 @@ Case texture_case(int64_t size) {
     const Tensor derivatives = random({1, size, size, 4}, -1e-3, 1e-3, 8, device);
     return both_ways(
         {random({2048, 2048, 3}, 0, 1, 9, device), random({1, size, size, 2}, 0, 1, 10, device)},
-        [rast, derivatives](const auto& in) { return texture(in[0], in[1], derivatives, rast); });
+        [rast, derivatives](const auto& in) {
+          return raster::texture(in[0], in[1], derivatives, rast);
+        });
   };
 }
 
 Case chamfer_case(int levels) {
   return [levels](at::Device device) {
     const testing::Shape shape = testing::sphere(levels);
-    const auto regularizer =
-        std::make_shared<MeshRegularizer>(TriMesh{shape.vertices, shape.faces}.to(device));
+    const auto regularizer = std::make_shared<mesh::MeshRegularizer>(
+        scene::TriMesh{shape.vertices, shape.faces}.to(device));
     const Tensor moved =
         shape.vertices.to(device) + random(shape.vertices.sizes(), -0.05, 0.05, 11, device);
     return both_ways({moved},
@@ -157,12 +162,12 @@ Case chamfer_case(int levels) {
 Case transform_case(int64_t pictures) {
   return [pictures](at::Device device) {
     return both_ways({random({pictures, 4, 256, 256}, 0, 1, 12, device)}, [](const auto& in) {
-      return transform_images(in[0], 224, EotOptions{}, 1, 0);
+      return attack::transform_images(in[0], 224, attack::EotOptions{}, 1, 0);
     });
   };
 }
 
-Case classifier_case(const std::shared_ptr<Classifier>& model, int64_t pictures) {
+Case classifier_case(const std::shared_ptr<model::Classifier>& model, int64_t pictures) {
   return [model, pictures](at::Device device) {
     const int64_t size = model->card().height;
     return both_ways({random({pictures, 3, size, size}, 0, 1, 13, device)},
@@ -170,9 +175,9 @@ Case classifier_case(const std::shared_ptr<Classifier>& model, int64_t pictures)
   };
 }
 
-/// A classifier's passes launched one by one, and played as CUDA graphs.
+/// A classifier's passes with single kernel launches, and replayed as CUDA graphs.
 void print_classifier_rows(const std::string& name, int64_t pictures, at::Device gpu) {
-  const auto model = Classifier::load(name);
+  const auto model = model::Classifier::load(name);
   const Case work = classifier_case(model, pictures);
   print_row(name, std::to_string(pictures) + " pictures", work, gpu);
   use_gpu_options({.graphs = true});
@@ -180,10 +185,10 @@ void print_classifier_rows(const std::string& name, int64_t pictures, at::Device
   use_gpu_options({});
 }
 
-// ---- What is compared with other programs --------------------------------------------------
+// ---- Cases compared with other programs ----------------------------------------------------
 
-/// Milliseconds of one call, launched one after another without waiting in between: the median of
-/// some rounds.
+/// Milliseconds per call when calls are launched back to back, without waiting in between: the
+/// median over some rounds.
 double sustained_ms(const std::function<void()>& work, at::Device gpu) {
   constexpr int kRounds = 5, kCalls = 20;
   for (int i = 0; i < kCalls; ++i) work();  // warm
@@ -198,7 +203,7 @@ double sustained_ms(const std::function<void()>& work, at::Device gpu) {
   return median(std::move(times));
 }
 
-/// A coloured mesh of a file, the same in all views.
+/// A coloured mesh from a file, the same in all views.
 std::function<void()> colored_mesh(const TensorFile& file, int64_t views, int64_t size,
                                    at::Device gpu) {
   const Tensor clip = file.get("clip", {1, -1, 4}, at::kFloat).to(gpu).expand({views, -1, -1});
@@ -206,10 +211,10 @@ std::function<void()> colored_mesh(const TensorFile& file, int64_t views, int64_
                  file.get("faces", {-1, 3}, at::kInt).to(gpu), size);
 }
 
-/// A training step of a hash grid with a network 35-64-64-6 behind it: look-up, squared error,
+/// A training step of a hash grid followed by an MLP 35-64-64-6: encoding, squared error,
 /// gradients, Adam.
 std::function<void()> training_step(int64_t points, bool half, at::Device gpu) {
-  const HashGridShape shape;
+  const field::HashGridShape shape;
   std::vector<Tensor> parameters = {
       random({shape.entries(), 2}, -1e-4, 1e-4, 1, gpu), random({64, 35}, -0.3, 0.3, 4, gpu),
       random({64, 64}, -0.3, 0.3, 5, gpu), random({6, 64}, -0.3, 0.3, 6, gpu)};
@@ -222,21 +227,21 @@ std::function<void()> training_step(int64_t points, bool half, at::Device gpu) {
   const Tensor x = random({points, 3}, -1, 1, 2, gpu), target = random({6, points}, 0, 1, 3, gpu);
   auto iteration = std::make_shared<int64_t>(0);
   return [=] {
-    const Tensor encoded = encode_points(x, parameters[0], shape);
+    const Tensor encoded = field::encode_points(x, parameters[0], shape);
     const std::vector<Tensor> weights(parameters.begin() + 1, parameters.end());
-    const Tensor out = half ? half_mlp(encoded, weights) : mlp(encoded, weights);
+    const Tensor out = half ? field::half_mlp(encoded, weights) : field::mlp(encoded, weights);
     const std::vector<Tensor> gradients =
         torch::autograd::grad({at::mse_loss(out, target)}, parameters);
     const at::NoGradGuard none;
     ++*iteration;
     for (size_t i = 0; i < parameters.size(); ++i) {
-      Adam{}.step(parameters[i], gradients[i].contiguous(), moment1[i], moment2[i], 1e-3,
-                  *iteration);
+      optimize::Adam{}.step(parameters[i], gradients[i].contiguous(), moment1[i], moment2[i], 1e-3,
+                            *iteration);
     }
   };
 }
 
-/// Prints the milliseconds of each case; for a profiler calls each three times.
+/// Prints the milliseconds of each case; for a profiler runs each three times instead.
 void measure_for_peers(const std::string& mesh, bool for_profiler, at::Device gpu) {
   const TensorFile file = load_tensors(mesh);
   const std::vector<std::pair<std::string, Case>> cases = {

@@ -1,6 +1,6 @@
-// Our kernels, and the same in plain tensor operations, forward and backward.
+// Our kernels compared with plain tensor operations, forward and backward.
 //
-// Meshes come from files, so that other programs (bench/peers.py) draw the very same triangles:
+// Meshes come from files, so that other programs (bench/peers.py) draw exactly the same triangles:
 //   TT3D_BENCH_MESH  safetensors with clip [1,V,4] f32, faces [F,3] i32, colors [V,3] f32,
 //                    uvs [V,2] f32
 #include <ATen/Parallel.h>
@@ -26,7 +26,7 @@ struct Scene {
   Tensor clip, faces, colors, uvs;
 };
 
-/// The mesh of the environment; throws InputError where it is absent.
+/// The mesh named by the environment; throws InputError if it is not set.
 Scene load_scene() {
   const char* path = std::getenv("TT3D_BENCH_MESH");
   if (path == nullptr) throw InputError("TT3D_BENCH_MESH is not set: run scripts/bench");
@@ -41,35 +41,35 @@ Tensor leaf(const Tensor& t) { return t.detach().clone().requires_grad_(true); }
 void colored_mesh(benchmark::State& state) {
   const Scene scene = load_scene();
   const Tensor clip = leaf(scene.clip), colors = leaf(scene.colors);
-  const Tensor twins = edge_twins(scene.faces);
+  const Tensor twins = raster::edge_twins(scene.faces);
   for (auto _ : state) {
-    const Tensor rast = rasterize(clip, scene.faces, 400, 400);
-    const Tensor colored = interpolate(colors, rast, scene.faces);
-    const Tensor picture = antialias(colored, rast, clip, scene.faces, twins);
-    picture.backward(2 * picture.detach());  // of the sum of squares, as DEODR's side of peers.py
+    const Tensor rast = raster::rasterize(clip, scene.faces, 400, 400);
+    const Tensor colored = raster::interpolate(colors, rast, scene.faces);
+    const Tensor picture = raster::antialias(colored, rast, clip, scene.faces, twins);
+    picture.backward(2 * picture.detach());  // of the sum of squares, like DEODR in peers.py
     clip.mutable_grad().reset();
     colors.mutable_grad().reset();
   }
 }
 BENCHMARK(colored_mesh)->Unit(benchmark::kMillisecond)->UseRealTime();
 
-/// Rasterize, interpolate UVs, look the texture up; gradients to the texture alone.
+/// Rasterize, interpolate UVs, look up the texture; gradient with respect to the texture only.
 void textured_mesh(benchmark::State& state) {
   const Scene scene = load_scene();
   const Tensor texels = leaf(at::rand({512, 512, 3}));
   for (auto _ : state) {
-    const Tensor rast = rasterize(scene.clip, scene.faces, 400, 400);
-    const Tensor uv = interpolate(scene.uvs, rast, scene.faces);
-    const Tensor slopes = attribute_derivatives(scene.uvs, rast, scene.clip, scene.faces);
-    texture(texels, uv, slopes, rast).square().sum().backward();
+    const Tensor rast = raster::rasterize(scene.clip, scene.faces, 400, 400);
+    const Tensor uv = raster::interpolate(scene.uvs, rast, scene.faces);
+    const Tensor slopes = raster::attribute_derivatives(scene.uvs, rast, scene.clip, scene.faces);
+    raster::texture(texels, uv, slopes, rast).square().sum().backward();
     texels.mutable_grad().reset();
   }
 }
 BENCHMARK(textured_mesh)->Unit(benchmark::kMillisecond)->UseRealTime();
 
-// ---- Growth: the same with other sizes --------------------------------------------------------
+// ---- Growth: the same at other sizes ----------------------------------------------------------
 
-/// A wavy sheet of 2 n^2 triangles before the camera, [1,V,4] and [F,3].
+/// A wavy sheet of 2 n^2 triangles in front of the camera, [1,V,4] and [F,3].
 std::pair<Tensor, Tensor> sheet(int64_t n) {
   const Tensor line = at::linspace(-0.9, 0.9, n + 1);
   const Tensor x = line.repeat({n + 1}), y = line.repeat_interleave(n + 1);
@@ -82,16 +82,16 @@ std::pair<Tensor, Tensor> sheet(int64_t n) {
   return {clip, at::cat({first, second}).to(at::kInt).contiguous()};
 }
 
-/// A sheet of 2 side^2 triangles in `size` pixels a side, rasterized, coloured and antialiased,
+/// A sheet of 2 side^2 triangles in a picture of size x size: rasterized, coloured and antialiased,
 /// with gradients.
 void sheet_step(benchmark::State& state, int64_t side, int64_t size) {
   const auto [clip_of_sheet, faces] = sheet(side);
   const Tensor clip = leaf(clip_of_sheet), colors = leaf(at::rand({clip.size(1), 3}));
-  const Tensor twins = edge_twins(faces);
+  const Tensor twins = raster::edge_twins(faces);
   for (auto _ : state) {
-    const Tensor rast = rasterize(clip, faces, size, size);
-    const Tensor picture = interpolate(colors, rast, faces);
-    antialias(picture, rast, clip, faces, twins).square().sum().backward();
+    const Tensor rast = raster::rasterize(clip, faces, size, size);
+    const Tensor picture = raster::interpolate(colors, rast, faces);
+    raster::antialias(picture, rast, clip, faces, twins).square().sum().backward();
     clip.mutable_grad().reset();
     colors.mutable_grad().reset();
   }
@@ -111,15 +111,15 @@ BENCHMARK(growth_faces)
     ->Unit(benchmark::kMillisecond)
     ->UseRealTime();
 
-/// Hash encoding and MLP as an attack step has them, forward and backward.
+/// Hash encoding and MLP with the sizes of an attack step, forward and backward.
 void growth_points(benchmark::State& state) {
-  const HashGridShape shape{16, 16, 2048, 19, 2};
+  const field::HashGridShape shape{16, 16, 2048, 19, 2};
   const Tensor x = at::rand({state.range(0), 3}) * 2 - 1;
   const Tensor table = leaf(at::rand({shape.entries(), 2}));
   const std::vector<Tensor> weights = {leaf(at::rand({64, 32})), leaf(at::rand({64, 64})),
                                        leaf(at::rand({3, 64}))};
   for (auto _ : state) {
-    mlp(hash_encode(x, table, shape), weights).sum().backward();
+    field::mlp(field::hash_encode(x, table, shape), weights).sum().backward();
     table.mutable_grad().reset();
   }
 }
@@ -145,9 +145,9 @@ struct LanesOf {
   typedef float Type __attribute__((vector_size(kBytes)));
 };
 
-/// `count` independent multiply-adds in vectors of kBytes, twelve at a time, which hide each
-/// other's latency and fit into the registers; returns something that depends on all of them. (They
-/// begin with different numbers, or the compiler would see that all are one.)
+/// `count` independent multiply-adds in vectors of kBytes. Twelve run at a time: enough to hide
+/// their latency, and few enough for the registers. Returns a number that depends on all of them.
+/// (They start from different numbers; otherwise the compiler would compute only one.)
 template <int kBytes>
 TT3D_HD float multiply_adds(int64_t count) {
   using Lanes = typename LanesOf<kBytes>::Type;
@@ -188,13 +188,13 @@ void mlp_ours(benchmark::State& state) {
                                        leaf(at::rand({6, 64}))};
   const Tensor weight = at::rand({6, x.size(1)});
   for (auto _ : state) {
-    mlp(x, weights).backward(weight);
+    field::mlp(x, weights).backward(weight);
     x.mutable_grad().reset();
   }
 }
 BENCHMARK(mlp_ours)->Unit(benchmark::kMillisecond)->UseRealTime();
 
-// ---- Rasterizer against plain tensor operations, on a mesh these can hold in memory ----------
+// ---- Rasterizer against plain tensor operations, on a mesh small enough for their memory -----
 
 constexpr int64_t kSheet = 22, kSheetPixels = 128;  // 968 triangles
 
@@ -202,7 +202,7 @@ void rasterize_ours(benchmark::State& state) {
   const auto [clip, faces] = sheet(kSheet);
   const Tensor positions = leaf(clip);
   for (auto _ : state) {
-    const Tensor rast = rasterize(positions, faces, kSheetPixels, kSheetPixels);
+    const Tensor rast = raster::rasterize(positions, faces, kSheetPixels, kSheetPixels);
     rast.narrow(3, 0, 2).sum().backward();
     positions.mutable_grad().reset();
   }
@@ -228,7 +228,7 @@ BENCHMARK(rasterize_plain_tensors)->Unit(benchmark::kMillisecond)->UseRealTime()
 
 template <typename Encode>
 void hash_encoding(benchmark::State& state, const Encode& encode) {
-  const HashGridShape shape{16, 16, 2048, 19, 2};
+  const field::HashGridShape shape{16, 16, 2048, 19, 2};
   const Tensor x = at::rand({int64_t{1} << 18, 3}) * 2 - 1;
   const Tensor table = leaf(at::rand({shape.entries(), 2}));
   const Tensor weight = at::rand({32, x.size(0)});

@@ -56,7 +56,7 @@ class Table:
         if not (folder / RECORD).is_file():
             return False
         config = json.loads((folder / "run.json").read_text(encoding="utf-8"))["config"]
-        return int(config["attack.steps"]) == cell.steps(self.budget)
+        return config["attack.steps"] == cell.steps(self.budget)
 
     def run(self, cell: Cell) -> None:
         """Attack, bake and score."""

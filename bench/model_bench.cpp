@@ -1,5 +1,5 @@
-// Worker of bench/models.py: loads a package, then answers every line on stdin with the seconds
-// that one forward and backward pass took.
+// Program of bench/models.py: loads a package. For every line on stdin it runs one forward and
+// backward pass and prints its seconds.
 //
 //   model_bench MODEL BATCH THREADS
 
@@ -16,8 +16,8 @@
 
 namespace {
 
-/// Gradient of the cross-entropy towards class 0, as an attack asks for it.
-double timed_pass(const tt3d::Classifier& model, const at::Tensor& images) {
+/// Gradient of the cross-entropy with target class 0, as in an attack.
+double timed_pass(const tt3d::model::Classifier& model, const at::Tensor& images) {
   const double start = tt3d::now_seconds();
   const at::Tensor leaf = images.detach().requires_grad_(true);
   const at::Tensor loss = -model.logits(leaf).log_softmax(1).select(1, 0).mean();
@@ -27,7 +27,7 @@ double timed_pass(const tt3d::Classifier& model, const at::Tensor& images) {
 
 int serve(const std::string& name, int64_t batch, int threads) {
   at::set_num_threads(threads);
-  const auto model = tt3d::Classifier::load(name);
+  const auto model = tt3d::model::Classifier::load(name);
   at::manual_seed(0);
   const at::Tensor images = at::rand({batch, 3, model->card().height, model->card().width});
   std::cout << "ready" << std::endl;

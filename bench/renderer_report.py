@@ -33,7 +33,7 @@ def first_name(record: dict[str, Any], key: str) -> str:
 
 def surrogates(run: Path) -> list[str]:
     """Return the models that a run attacked."""
-    return json.loads(read(run / "run.json")["config"]["attack.surrogates"])
+    return read(run / "run.json")["config"]["attack.surrogates"]
 
 
 def cells(record: dict[str, Any], seen: list[str]) -> list[str]:

@@ -1,9 +1,9 @@
-// Worker of bench/step.py: runs steps of the attack of a configuration on a run's mesh, on the CPU,
-// and times the classifier's passes inside them, where its caches and memory are as in an attack.
+// Program of bench/step.py: runs attack steps of a configuration on a run's mesh, on the CPU. It
+// times the classifier's passes inside the steps, where caches and memory are as in an attack.
 //
 //   step_bench CONFIG RUN MODEL STEPS THREADS
 //
-// Prints {"step": milliseconds, "classifier": milliseconds}, medians over the steps but the first.
+// Prints {"step": milliseconds, "classifier": milliseconds}: medians over all steps but the first.
 #include <ATen/ATen.h>
 #include <ATen/Parallel.h>
 
@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "tt3d/attack.h"
+#include "tt3d/capture.h"
 #include "tt3d/core.h"
 #include "tt3d/model.h"
 #include "tt3d/run.h"
@@ -26,11 +27,12 @@ namespace {
 
 using at::Tensor;
 
-/// A classifier that adds up the seconds of its passes: forward around the call, backward from when
-/// the logits' gradient is there until the pictures' is.
-class TimedClassifier : public Classifier {
+/// A classifier that sums the seconds of its passes. Forward: the duration of the call. Backward:
+/// from the gradient of the logits to the gradient of the pictures.
+class TimedClassifier : public model::Classifier {
  public:
-  explicit TimedClassifier(std::shared_ptr<const Classifier> model) : model_(std::move(model)) {}
+  explicit TimedClassifier(std::shared_ptr<const model::Classifier> model)
+      : model_(std::move(model)) {}
   [[nodiscard]] Tensor logits(const Tensor& images) const override {
     const double start = now_seconds();
     const Tensor answer = model_->logits(images);
@@ -41,19 +43,19 @@ class TimedClassifier : public Classifier {
     }
     return answer;
   }
-  [[nodiscard]] const ModelCard& card() const override { return model_->card(); }
+  [[nodiscard]] const model::ModelCard& card() const override { return model_->card(); }
   [[nodiscard]] std::string weights_hash() const override { return model_->weights_hash(); }
-  [[nodiscard]] const ProbeReport& probe() const override { return model_->probe(); }
+  [[nodiscard]] const model::ProbeReport& probe() const override { return model_->probe(); }
   [[nodiscard]] const std::filesystem::path& path() const override { return model_->path(); }
   /// Seconds since the last call.
   double take() const { return std::exchange(seconds_, 0); }
 
  private:
-  std::shared_ptr<const Classifier> model_;
+  std::shared_ptr<const model::Classifier> model_;
   mutable double seconds_ = 0, begin_ = 0;
 };
 
-/// Notes how long each step took, and what of it the classifier did.
+/// Records the duration of each step, and the classifier's part of it.
 struct StepTimes : Progress {
   explicit StepTimes(const TimedClassifier& classifier) : model(classifier) {}
   void update(int64_t, const Metrics&) override {
@@ -76,23 +78,23 @@ double median(std::vector<double> values) {
 }
 
 void measure(char** argv) {
-  RunConfig config = load_config(argv[1]);
+  run::RunConfig config = run::load_config(argv[1]);
   const std::filesystem::path run = argv[2];
-  config.attack.steps = std::atoll(argv[4]);
-  if (config.attack.steps < 2) throw InputError("STEPS: expected 2 or more");
+  config.attack.options.schedule.steps = std::atoll(argv[4]);
+  if (config.attack.options.schedule.steps < 2) throw InputError("STEPS: expected 2 or more");
   at::set_num_threads(std::atoi(argv[5]));
-  const AttackResult clean = load_attack(run / "mesh/mesh.safetensors");
-  const auto model = std::make_shared<TimedClassifier>(Classifier::load(argv[3]));
-  AttackInput input;
-  input.mesh = clean.mesh;
-  input.appearance = clean.appearance;
+
+  const auto model = std::make_shared<TimedClassifier>(model::Classifier::load(argv[3]));
+  attack::AttackInput input;
+  input.object = object::load_object(run / "mesh/mesh.safetensors");
   Progress quiet;
-  input.frame = capture_view_frame(load_capture(config.capture, quiet));
+  input.frame = capture::capture_view_frame(capture::load_capture(config.capture, quiet));
   input.surrogates = {model};
-  input.classes = {find_class(config.attack_target, model->card()).index};
+  input.classes = {model::find_class(config.attack.target, model->card()).index};
   StepTimes times(*model);
   const ExchangeFolder folder;
-  (void)run_attack(input, config.attack, config.seed, folder.path() / "checkpoint", times);
+  (void)attack::run_attack(input, config.attack.options, config.seed, folder.path() / "checkpoint",
+                           times);
   const nlohmann::json medians = {{"step", median(times.steps)},
                                   {"classifier", median(times.classifiers)}};
   std::cout << medians.dump() << "\n";

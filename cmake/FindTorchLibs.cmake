@@ -1,9 +1,9 @@
 # Finds the C++ libraries inside the pinned torch wheel of the virtual environment.
 #
-# TorchConfig.cmake of a CUDA wheel demands a CUDA toolkit, which CPU users lack; the libraries
-# themselves do not. Defines TorchLibs::cpu (headers, libtorch_cpu, libc10), whose precompiled
-# ATen header the rooms share, and with TT3D_CUDA also TorchLibs::cuda. Installed beside
-# tt3dConfig.cmake, for programs that use the library.
+# TorchConfig.cmake of a CUDA wheel needs a CUDA toolkit, which CPU users do not have and the
+# libraries do not need. This module defines TorchLibs::cpu (headers, libtorch_cpu, libc10), whose
+# precompiled ATen header the rooms share. With TT3D_CUDA it also defines TorchLibs::cuda. It is
+# installed next to tt3dConfig.cmake, for programs that use the library.
 
 set(TT3D_TORCH_DIR "" CACHE PATH "Folder of the installed torch package (default: that of .venv)")
 if(NOT TT3D_TORCH_DIR)
@@ -24,7 +24,7 @@ include(FindPackageHandleStandardArgs)
 find_package_handle_standard_args(TorchLibs REQUIRED_VARS TORCH_CPU_LIBRARY TORCH_C10_LIBRARY
                                   VERSION_VAR TorchLibs_VERSION)
 
-# The wheel's CPU library was linked against CUDA's runtime pieces, found beside torch.
+# The wheel's CPU library is linked against parts of CUDA's runtime, which lie next to torch.
 file(GLOB _torch_nvidia "${TT3D_TORCH_DIR}/../nvidia/*/lib")
 set(TORCH_LIBS_RPATH "${TT3D_TORCH_DIR}/lib" ${_torch_nvidia})
 
@@ -33,8 +33,9 @@ target_include_directories(TorchLibs::cpu SYSTEM INTERFACE
   "${TT3D_TORCH_DIR}/include" "${TT3D_TORCH_DIR}/include/torch/csrc/api/include")
 target_link_libraries(TorchLibs::cpu INTERFACE "${TORCH_CPU_LIBRARY}" "${TORCH_C10_LIBRARY}")
 target_compile_definitions(TorchLibs::cpu INTERFACE _GLIBCXX_USE_CXX11_ABI=1)
-# at::parallel_for is a header: without OpenMP it is a plain loop, silently. It shares the wheel's own
-# libgomp. (The fuzz targets' clang brings no OpenMP along: their readers have no loops of it.)
+# at::parallel_for is a header: without OpenMP it silently becomes a sequential loop. It uses the
+# wheel's own libgomp. (The clang of the fuzz targets has no OpenMP; their readers have no parallel
+# loops.)
 target_compile_options(TorchLibs::cpu INTERFACE $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-fopenmp>)
 target_link_libraries(TorchLibs::cpu INTERFACE "${TT3D_TORCH_DIR}/lib/libgomp.so.1")
 foreach(_dir IN LISTS TORCH_LIBS_RPATH)
@@ -49,7 +50,7 @@ if(TT3D_CUDA)
   find_package(CUDAToolkit REQUIRED)
   add_library(TorchLibs::cuda INTERFACE IMPORTED)
   target_link_libraries(TorchLibs::cuda INTERFACE TorchLibs::cpu
-    # Registration happens in the library's initialisers; nothing refers to it by symbol.
+    # The library registers itself in its initialisers; no symbol refers to it.
     "-Wl,--no-as-needed" "${TORCH_CUDA_LIBRARY}" "${TORCH_C10_CUDA_LIBRARY}" "-Wl,--as-needed"
     CUDA::cudart)
 endif()

@@ -1,16 +1,20 @@
-# One target a room. A room exposes only include/<room>, so including a room that is not linked,
-# directly or through another, does not compile.
+# One target per room. A room exposes only include/<room>. Including a room that is not linked,
+# directly or through another, therefore does not compile.
 
-# -Wrestrict: g++ 12 reports std::string concatenation wrongly (GCC bug 105651).
+# -Wrestrict: g++ 12 gives false warnings for std::string concatenation (GCC bug 105651).
 set(TT3D_WARNINGS -Wall -Wextra -Wshadow -Wconversion -Wno-sign-conversion -Wno-restrict -Werror)
+if(TT3D_SANITIZE)
+  # The checks that the sanitizers insert make g++ 12 warn where nothing is wrong.
+  list(REMOVE_ITEM TT3D_WARNINGS -Werror)
+endif()
 
-# The CUDA side keeps to the CPU's bits: no contraction of a * b + c, which the CPU does not do
-# either (coverage decisions must agree). Line tables for profilers; warnings are errors.
+# CUDA code must give the CPU's bits (both must agree on coverage): no contraction of a * b + c, as
+# on the CPU. Line tables are for profilers; warnings are errors.
 set(TT3D_CUDA_FLAGS -fmad=false -lineinfo --expt-relaxed-constexpr
     "SHELL:-Werror all-warnings" -Xcompiler=-Wall,-Wextra,-Werror)
 
 # tt3d_room(NAME [TORCH] SOURCES a.cpp ... [CUDA a.cu ...] [LINK rooms...] [LIBS libraries...])
-# CUDA: sources of a build with TT3D_CUDA.
+# CUDA: sources for a build with TT3D_CUDA.
 function(tt3d_room name)
   cmake_parse_arguments(ROOM "TORCH" "" "SOURCES;CUDA;LINK;LIBS" ${ARGN})
   if(TT3D_CUDA)
@@ -21,7 +25,7 @@ function(tt3d_room name)
     PUBLIC "$<BUILD_INTERFACE:${CMAKE_SOURCE_DIR}/include/${name}>" "$<INSTALL_INTERFACE:include>"
     PRIVATE "${CMAKE_CURRENT_SOURCE_DIR}")
   target_compile_features(tt3d_${name} PUBLIC cxx_std_20)
-  # Installed, a room is the target tt3d::NAME, and its headers lie in include/tt3d.
+  # An installed room is the target tt3d::NAME; its headers are in include/tt3d.
   set_target_properties(tt3d_${name} PROPERTIES EXPORT_NAME ${name})
   install(TARGETS tt3d_${name} EXPORT tt3d)
   install(DIRECTORY "${CMAKE_SOURCE_DIR}/include/${name}/tt3d" TYPE INCLUDE)
@@ -37,13 +41,13 @@ function(tt3d_room name)
   endif()
 endfunction()
 
-# ATen costs seconds a file: parse it once (tt3d_torch_pch_owner, src/device), share it with every
-# target that uses torch.
+# Parsing ATen takes seconds per file. It is parsed once (tt3d_torch_pch_owner, src/device), and all
+# targets that use torch share the result.
 function(tt3d_torch_pch target)
   target_precompile_headers(${target} REUSE_FROM tt3d_torch_pch_owner)
 endfunction()
 
-# tt3d_test(NAME SOURCES a_test.cpp ... LINK rooms...): one GoogleTest program a room.
+# tt3d_test(NAME SOURCES a_test.cpp ... LINK rooms...): one GoogleTest program per room.
 function(tt3d_test name)
   cmake_parse_arguments(TEST "" "" "SOURCES;LINK;LIBS" ${ARGN})
   add_executable(${name}_test ${TEST_SOURCES})

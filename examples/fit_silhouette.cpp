@@ -1,5 +1,6 @@
-// Inverse rendering in its smallest form: a sphere's vertices move until its silhouettes are those
-// of a larger one. Shows the rasteriser's gradients (docs/raster.md) and how to write an asset.
+// A minimal example of inverse rendering: a sphere's vertices move until its silhouettes match
+// those of a larger one. Shows the rasteriser's gradients (docs/raster.md) and how to write an
+// asset.
 //
 //   fit_silhouette OUT.glb
 #include <ATen/ATen.h>
@@ -9,7 +10,7 @@
 #include <cstdio>
 #include <exception>
 
-#include "tt3d/bake.h"
+#include "tt3d/asset.h"
 #include "tt3d/error.h"
 #include "tt3d/mesh.h"
 
@@ -18,32 +19,33 @@ namespace {
 using at::Tensor;
 
 /// A ball of the given radius around the origin, by marching cubes.
-tt3d::TriMesh ball(double radius) {
+tt3d::scene::TriMesh ball(double radius) {
   const Tensor axis = at::linspace(-1, 1, 25);
   const auto xyz = at::meshgrid({axis, axis, axis}, "ij");
   const Tensor distance = (xyz[0].square() + xyz[1].square() + xyz[2].square()).sqrt();
-  return tt3d::marching_cubes(radius - distance);
+  return tt3d::mesh::marching_cubes(radius - distance);
 }
 
 /// Coverage of each pixel in each view, [N,H,W].
-Tensor silhouettes(const Tensor& vertices, const tt3d::RenderMesh& mesh,
-                   const std::vector<tt3d::Camera>& cameras) {
-  const auto white = [](const tt3d::SurfacePoints& points) {
+Tensor silhouettes(const Tensor& vertices, const tt3d::mesh::RenderMesh& mesh,
+                   const std::vector<tt3d::scene::Camera>& cameras) {
+  const auto white = [](const tt3d::raster::SurfacePoints& points) {
     return at::ones({3, points.positions.size(0)});
   };
-  return tt3d::render_mesh(vertices, vertices, mesh, cameras, white).select(3, 3);
+  return tt3d::mesh::render_mesh(vertices, vertices, mesh, cameras, white).select(3, 3);
 }
 
 void fit(const std::filesystem::path& out) {
-  const tt3d::TriMesh wanted = ball(0.7), start = ball(0.5);
-  const tt3d::RenderMesh wanted_mesh(wanted.faces), mesh(start.faces);
+  const tt3d::scene::TriMesh wanted = ball(0.7), start = ball(0.5);
+  const tt3d::mesh::RenderMesh wanted_mesh(wanted.faces), mesh(start.faces);
   Tensor vertices = start.vertices.clone().requires_grad_(true);
   double first = 0, last = 0;
   constexpr int kSteps = 120, kViews = 4, kSize = 64;
   for (int step = 0; step < kSteps; ++step) {
-    std::vector<tt3d::Camera> cameras;
-    for (const tt3d::SampledView& view :
-         tt3d::sample_views("sphere", /*seed=*/1, step * kViews, kViews, kSize, {})) {
+    std::vector<tt3d::scene::Camera> cameras;
+    for (const tt3d::scene::SampledView& view :
+         tt3d::scene::sample_views(tt3d::scene::ViewDistribution::kSphere, /*seed=*/1,
+                                   step * kViews, kViews, kSize, {})) {
       cameras.push_back(view.camera);
     }
     const Tensor loss =
@@ -52,16 +54,16 @@ void fit(const std::filesystem::path& out) {
             .mean();
     const Tensor gradient = torch::autograd::grad({loss}, {vertices})[0];
     at::NoGradGuard guard;
-    // Along the sign alone: silhouettes tell a vertex where to go, not how far.
+    // Uses the sign only: a silhouette tells a vertex the direction, not the distance.
     vertices.sub_(0.005 * gradient.sign());
     last = loss.item<double>();
     if (step == 0) first = last;
   }
   std::printf("silhouette error %.4f -> %.4f\n", first, last);
   const int64_t count = start.vertices.size(0);
-  tt3d::write_glb({vertices.detach(), start.faces, at::full({count, 2}, 0.5), start.faces,
-                   at::full({4, 4, 3}, 200, at::kByte)},
-                  out);
+  tt3d::asset::write_glb({vertices.detach(), start.faces, at::full({count, 2}, 0.5), start.faces,
+                          at::full({4, 4, 3}, 200, at::kByte)},
+                         out);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
-// What each transform of an attack does to an asset's picture: a strip of five draws of each, alone
-// and at a wide range, as DIR/NAME.png. bench/transforms.py puts them on one sheet.
+// The effect of each transform of an attack on an asset's picture. For each transform alone, with a
+// wide range, it writes a strip of five draws to DIR/NAME.png. bench/transforms.py puts the strips
+// on one sheet.
 //
 //   show_transforms ASSET.glb DIR [PHOTOGRAPHS]
 #include <ATen/ATen.h>
@@ -15,11 +16,13 @@
 #include "tt3d/eot.h"
 #include "tt3d/error.h"
 #include "tt3d/evaluate.h"
+#include "tt3d/image.h"
+#include "tt3d/mesh.h"
 
 namespace {
 
 using at::Tensor;
-using tt3d::EotOptions;
+using tt3d::attack::EotOptions;
 
 constexpr int64_t kDraws = 5, kSize = 160;
 
@@ -31,7 +34,7 @@ EotOptions nothing() {
   return o;
 }
 
-/// Each transform by its key, and what shows it.
+/// Each transform by its key, with the options that enable it.
 std::vector<std::pair<std::string, std::function<void(EotOptions&)>>> transforms(bool photographs) {
   std::vector<std::pair<std::string, std::function<void(EotOptions&)>>> all = {
       {"none", [](EotOptions&) {}},
@@ -55,43 +58,46 @@ std::vector<std::pair<std::string, std::function<void(EotOptions&)>>> transforms
   return all;
 }
 
-/// One side of the object with a transform, another draw a picture: [3,S,N S].
-Tensor strip(const tt3d::TexturedMesh& asset, const tt3d::ViewFrame& frame, const EotOptions& o,
-             const tt3d::Backgrounds* photographs) {
-  const tt3d::TextureAppearance look(asset.texture.to(at::kFloat) / 255,
-                                     {asset.uvs, asset.uv_faces}, "texture");
-  const tt3d::RenderMesh mesh(asset.faces);
-  const Tensor normals = tt3d::vertex_normals(asset.vertices, asset.faces);
-  const auto side = tt3d::sample_views("ring", /*seed=*/0, 0, 1, kSize, frame)[0].camera;
+/// One view of the object with a transform, one draw per picture: [3,S,N S].
+Tensor strip(const tt3d::asset::TexturedMesh& asset, const tt3d::scene::ViewFrame& frame,
+             const EotOptions& o, const tt3d::scene::Backgrounds* photographs) {
+  const tt3d::object::TextureAppearance appearance(asset.texture.to(at::kFloat) / 255, asset.map,
+                                                   tt3d::object::Part::kTexture);
+  const tt3d::mesh::RenderMesh mesh(asset.faces);
+  const Tensor normals = tt3d::scene::vertex_normals(asset.vertices, asset.faces);
+  const auto side = tt3d::scene::sample_views(tt3d::scene::ViewDistribution::kRing, /*seed=*/0, 0,
+                                              1, kSize, frame)[0]
+                        .camera;
   std::vector<Tensor> pictures;
   for (int64_t draw = 0; draw < kDraws; ++draw) {
-    const auto cameras = tt3d::shift_object({side}, frame.radius, o, /*seed=*/1, draw);
+    const auto cameras = tt3d::attack::shift_object({side}, frame.radius, o, /*seed=*/1, draw);
     const Tensor shown =
-        tt3d::render_mesh(asset.vertices, asset.vertices, mesh, cameras,
-                          [&](const tt3d::SurfacePoints& p) {
-                            const Tensor normal =
-                                tt3d::interpolate(normals, p.rast.view({1, 1, -1, 4}), asset.faces);
-                            return at::cat({look.color(p), normal.view({-1, 3}).t()});
-                          })
+        tt3d::mesh::render_mesh(asset.vertices, asset.vertices, mesh, cameras,
+                                [&](const tt3d::raster::SurfacePoints& p) {
+                                  const Tensor normal = tt3d::raster::interpolate(
+                                      normals, p.rast.view({1, 1, -1, 4}), asset.faces);
+                                  return at::cat({appearance.color(p), normal.view({-1, 3}).t()});
+                                })
             .permute({0, 3, 1, 2});
     const Tensor rgba = at::cat({shown.narrow(1, 0, 3), shown.narrow(1, 6, 1)}, 1);
-    const Tensor lit = tt3d::light_pictures(rgba, shown.narrow(1, 3, 3), o, 1, draw);
-    pictures.push_back(tt3d::transform_images(lit, kSize, o, 1, draw, photographs)[0]);
+    const Tensor lit = tt3d::attack::light_pictures(rgba, shown.narrow(1, 3, 3), o, 1, draw);
+    pictures.push_back(tt3d::attack::transform_images(lit, kSize, o, 1, draw, photographs)[0]);
   }
   return at::cat(pictures, 2);
 }
 
 void show(const std::filesystem::path& path, const std::filesystem::path& folder,
           const std::string& photographs) {
-  const tt3d::TexturedMesh asset = tt3d::load_asset(path);
-  const tt3d::ViewFrame frame = tt3d::asset_view_frame(asset, path);
-  std::optional<tt3d::Backgrounds> behind;
+  const tt3d::asset::TexturedMesh asset = tt3d::asset::load_asset(path);
+  const tt3d::scene::ViewFrame frame = tt3d::asset::view_frame(asset, path);
+  std::optional<tt3d::scene::Backgrounds> behind;
   if (!photographs.empty()) behind.emplace(photographs);
   for (const auto& [name, switch_on] : transforms(behind.has_value())) {
     EotOptions o = nothing();
     switch_on(o);
     const Tensor row = strip(asset, frame, o, behind ? &*behind : nullptr).permute({1, 2, 0});
-    tt3d::write_file_atomic(folder / (name + ".png"), tt3d::encode_png(tt3d::to_uint8(row)));
+    tt3d::write_file_atomic(folder / (name + ".png"),
+                            tt3d::image::encode_png(tt3d::image::to_uint8(row)));
   }
 }
 

@@ -9,15 +9,17 @@
 
 #include "tt3d/core.h"
 #include "tt3d/gpu_options.h"
+#include "tt3d/record.h"
 
-/// The subcommands of the program. Each function registers one with a callback that does the
-/// work; errors leave as tt3d::Error and main() turns them into a line and an exit code.
+/// The subcommands of the program. Each function registers subcommands with a callback that does
+/// the work. Errors are thrown as tt3d::Error; main() prints them as one line and returns the exit
+/// code.
 namespace tt3d::cli {
 
-/// Options that every subcommand takes.
+/// Options of every subcommand.
 struct Common {
   std::string device = "auto";  ///< auto, cpu or cuda
-  int threads = 0;              ///< 0: all
+  int threads = 0;              ///< 0: all cores
   GpuOptions gpu;
   uint64_t seed = 0;
   bool json = false;  ///< print results as JSON on stdout
@@ -30,8 +32,8 @@ void add_common_options(CLI::App& command, Common& common);
 /// Adds --half-mlp and --cuda-graphs to a subcommand that fits or attacks.
 void add_gpu_options(CLI::App& command, Common& common);
 
-/// Applies threads and GPU options and returns the device; throws InputError for one that is not
-/// there, and for options of a GPU on a CPU.
+/// Applies threads and GPU options and returns the device. Throws InputError if the device does not
+/// exist, or for GPU options on a CPU.
 at::Device apply_common(const Common& common);
 
 /// `tt3d model check|classify|list`.
@@ -45,11 +47,11 @@ void add_tool_commands(CLI::App& app, Common& common);
 /// `tt3d info` and `tt3d config`.
 void add_info_commands(CLI::App& app, Common& common);
 
-/// A progress display on stderr: one line that renews itself on a terminal, silent elsewhere but
-/// for notes; stops long work on Ctrl-C.
+/// A progress display on stderr. On a terminal it updates one line; elsewhere it prints notes only.
+/// Ctrl-C stops long work.
 [[nodiscard]] std::unique_ptr<Progress> make_progress(const Common& common);
 
-/// Prints an evaluation record (its JSON text) as a table on stdout.
-void print_record(const std::string& record_json);
+/// Prints an evaluation on stdout, as a table or, with --json, as JSON.
+void print_record(const record::EvaluationRecord& record, const Common& common);
 
 }  // namespace tt3d::cli

@@ -5,7 +5,12 @@
 #include <nlohmann/json.hpp>
 
 #include "commands.h"
+#include "tt3d/asset.h"
+#include "tt3d/capture.h"
+#include "tt3d/json.h"
+#include "tt3d/mesh.h"
 #include "tt3d/run.h"
+#include "tt3d/scene.h"
 #include "tt3d/tensor_file.h"
 
 namespace tt3d::cli {
@@ -14,12 +19,12 @@ using nlohmann::json;
 namespace {
 
 json capture_info(const fs::path& path, Progress& progress) {
-  CaptureOptions options;
+  capture::CaptureOptions options;
   options.path = path;
-  const Capture c = load_capture(options, progress);
-  const ViewFrame frame = capture_view_frame(c);
+  const capture::Capture c = capture::load_capture(options, progress);
+  const scene::ViewFrame frame = capture::capture_view_frame(c);
   return {{"kind", "capture"},
-          {"format", c.format},
+          {"format", name_of(c.format)},
           {"train_views", c.train.size()},
           {"test_views", c.test.size()},
           {"masks", c.has_masks},
@@ -32,8 +37,8 @@ json capture_info(const fs::path& path, Progress& progress) {
 }
 
 json asset_info(const fs::path& path) {
-  const TexturedMesh mesh = load_asset(path);
-  const MeshFacts facts = inspect({mesh.vertices, mesh.faces});
+  const asset::TexturedMesh mesh = asset::load_asset(path);
+  const mesh::MeshFacts facts = mesh::inspect({mesh.vertices, mesh.faces});
   const auto bound = [](const at::Tensor& t) {
     return std::vector<float>{t[0].item<float>(), t[1].item<float>(), t[2].item<float>()};
   };
@@ -59,8 +64,8 @@ json tensors_info(const fs::path& path) {
 }
 
 json model_info(const std::string& path) {
-  const auto model = Classifier::load(path);
-  const ModelCard& card = model->card();
+  const auto model = model::Classifier::load(path);
+  const model::ModelCard& card = model->card();
   return {{"kind", "model"},
           {"name", card.name},
           {"input_size", {card.height, card.width}},
@@ -73,7 +78,7 @@ json info_of(const std::string& text, Progress& progress) {
   const fs::path path = text;
   const std::string extension = path.extension().string();
   if (fs::exists(path / "run.json")) {
-    json j = json::parse(read_file(path / "run.json"));
+    json j = to_json(read_json_as<record::RunRecord>(path / "run.json"));
     j["kind"] = "run";
     return j;
   }
@@ -81,7 +86,7 @@ json info_of(const std::string& text, Progress& progress) {
   if (extension == ".glb" || extension == ".obj") return asset_info(path);
   if (extension == ".safetensors") return tensors_info(path);
   if (extension == ".pt2") return model_info(text);
-  if (!fs::exists(path)) throw InputError(path, "does not exist");
+  if (!fs::exists(path)) throw InputError(path, "no such file or folder");
   throw InputError(path, "expected a capture or run folder, .glb, .obj, .safetensors or .pt2");
 }
 
@@ -96,35 +101,49 @@ void print_json(const json& j, const Common& common) {
   }
 }
 
-void print_keys(const std::string& wanted, const Common& common) {
-  json list = json::array();
-  std::vector<std::string> names;
-  for (const ConfigKey& key : config_keys({})) {
-    names.push_back(key.name);
-    if (!wanted.empty() && key.name != wanted && !key.name.starts_with(wanted + ".")) continue;
-    list.push_back({{"key", key.name},
-                    {"meaning", key.meaning},
-                    {"unit", key.unit},
-                    {"default", key.value},
-                    {"range", key.range}});
+/// The key or the group of keys with this name. Throws InputError if there are none.
+std::vector<Key> keys_named(const KeyList& keys, const std::string& wanted) {
+  std::vector<Key> found;
+  for (const Key& key : keys.all()) {
+    if (wanted.empty() || key.name == wanted || key.name.starts_with(wanted + ".")) {
+      found.push_back(key);
+    }
   }
-  if (list.empty()) {
-    const std::string near = nearest_name(wanted, names);
-    throw InputError("no key '" + wanted + "'" +
-                     (near.empty() ? "" : "; did you mean '" + near + "'?"));
-  }
+  if (found.empty()) (void)keys.find(wanted);  // throws InputError with the nearest name
+  return found;
+}
+
+json key_json(const Key& key) {
+  json j = {{"key", key.name}, {"meaning", key.meaning}, {"unit", key.unit}, {"range", key.range}};
+  std::visit([&](const auto& value) { j["default"] = value; }, key.get());
+  return j;
+}
+
+void print_key(const Key& key) {
+  std::cout << fmt::format("{:<28} {:<16} {}", key.name, run::toml_of(key.get()), key.meaning);
+  if (!key.unit.empty()) std::cout << " [" << key.unit << "]";
+  if (!key.range.empty()) std::cout << " (" << key.range << ")";
+  std::cout << "\n";
+}
+
+/// A row of a table in docs/.
+void print_markdown(const Key& key) {
+  const std::string unit = key.unit.empty() ? "" : " [" + key.unit + "]";
+  std::cout << fmt::format("| `{}` | `{}` | {}{} | {} |\n", key.name, run::toml_of(key.get()),
+                           key.meaning, unit, key.range);
+}
+
+void print_keys(const std::string& wanted, bool markdown, const Common& common) {
+  run::RunConfig defaults;
+  const std::vector<Key> keys = keys_named(run::keys_of(defaults), wanted);
   if (common.json) {
+    json list = json::array();
+    for (const Key& key : keys) list.push_back(key_json(key));
     std::cout << list.dump(1) << "\n";
     return;
   }
-  for (const json& k : list) {
-    std::cout << fmt::format("{:<28} {:<16} {}", k["key"].get<std::string>(),
-                             k["default"].get<std::string>(), k["meaning"].get<std::string>());
-    const std::string unit = k["unit"], range = k["range"];
-    if (!unit.empty()) std::cout << " [" << unit << "]";
-    if (!range.empty()) std::cout << " (" << range << ")";
-    std::cout << "\n";
-  }
+  if (markdown) std::cout << "| key | default | meaning | range |\n|---|---|---|---|\n";
+  for (const Key& key : keys) markdown ? print_markdown(key) : print_key(key);
 }
 
 }  // namespace
@@ -132,17 +151,20 @@ void print_keys(const std::string& wanted, const Common& common) {
 void add_info_commands(CLI::App& app, Common& common) {
   auto text = std::make_shared<std::string>();
   CLI::App* info =
-      app.add_subcommand("info", "what a capture, field, mesh, asset, model or run holds");
+      app.add_subcommand("info", "print facts about a capture, field, mesh, asset, model or run");
   info->add_option("PATH", *text, "file or folder")->required();
   add_common_options(*info, common);
   info->callback([text, &common] {
     const auto progress = make_progress(common);
     print_json(info_of(*text, *progress), common);
   });
-  CLI::App* config = app.add_subcommand("config", "every key: meaning, unit, default, range");
-  config->add_option("KEY", *text, "a key or a group of keys");
+  CLI::App* config =
+      app.add_subcommand("config", "list the configuration keys: meaning, unit, default, range");
+  auto markdown = std::make_shared<bool>(false);
+  config->add_option("KEY", *text, "key or group of keys; default: all");
+  config->add_flag("--markdown", *markdown, "print the tables of the documentation");
   add_common_options(*config, common);
-  config->callback([text, &common] { print_keys(*text, common); });
+  config->callback([text, markdown, &common] { print_keys(*text, *markdown, common); });
 }
 
 }  // namespace tt3d::cli

@@ -27,21 +27,23 @@ void add_common_options(CLI::App& command, Common& common) {
   command.add_option("--device", common.device, "auto, cpu or cuda")
       ->check(CLI::IsMember({"auto", "cpu", "cuda"}))
       ->capture_default_str();
-  command.add_option("--threads", common.threads, "threads to use; 0 takes all")
+  command.add_option("--threads", common.threads, "number of threads; 0: all cores")
       ->check(CLI::NonNegativeNumber);
-  command.add_option("--seed", common.seed, "seed of every random stream")->capture_default_str();
+  command.add_option("--seed", common.seed, "seed of all random streams")->capture_default_str();
   command.add_flag("--json", common.json, "print results as JSON on stdout");
   command.add_flag_callback(
-      "-v", [&common] { ++common.verbosity; }, "progress lines when not on a terminal");
+      "-v", [&common] { ++common.verbosity; },
+      "print progress lines also if stderr is not a terminal");
   command.add_flag_callback(
-      "-q", [&common] { common.verbosity = -1; }, "no progress, no notes");
+      "-q", [&common] { common.verbosity = -1; }, "print no progress and no notes");
 }
 
 void add_gpu_options(CLI::App& command, Common& common) {
   command.add_flag("--half-mlp", common.gpu.half_mlp,
-                   "with CUDA: the field's MLPs on tensor cores, factors in float16");
-  command.add_flag("--cuda-graphs", common.gpu.graphs,
-                   "with CUDA: record the classifiers' passes once and play them again");
+                   "with CUDA: run the MLPs of the field on tensor cores, with float16 operands");
+  command.add_flag(
+      "--cuda-graphs", common.gpu.graphs,
+      "with CUDA: record the passes of the classifiers once as CUDA graphs and replay them");
 }
 
 at::Device apply_common(const Common& common) {
@@ -51,7 +53,7 @@ at::Device apply_common(const Common& common) {
                                     std::pair{common.gpu.graphs, "--cuda-graphs"}}) {
     if (asked && !device.is_cuda()) {
       throw InputError(std::string(name) +
-                       " is for a GPU and this run is on the CPU; leave it out");
+                       " needs a GPU, and this run is on the CPU; remove it or add --device cuda");
     }
   }
   use_gpu_options(common.gpu);
@@ -61,7 +63,8 @@ at::Device apply_common(const Common& common) {
 namespace {
 
 int run_program(int argc, char** argv) {
-  CLI::App app{"Photographs of an object in, a measured adversarial 3D object out.", "tt3d"};
+  CLI::App app{"Turns photographs of an object into an adversarial 3D object and measures it.",
+               "tt3d"};
   app.set_version_flag("--version", kVersion);
   app.require_subcommand(1);
   app.fallthrough(false);
@@ -80,14 +83,14 @@ int run_program(int argc, char** argv) {
   return 0;
 }
 
-/// One clear line, and the exit code that goes with it.
+/// Prints one line and returns the exit code.
 int report_error(const std::string& line, int code) {
   std::cerr << "\ntt3d: " << line << "\n";
   return code;
 }
 
-/// Threads that run elsewhere on the machine: the fewest of a few looks, so that a passing daemon
-/// does not count. (The load average still remembers a build that has ended.)
+/// Number of running threads of other processes: the minimum of a few samples, so that short-lived
+/// daemons do not count. (The load average still includes a build that has ended.)
 int running_elsewhere() {
   int fewest = std::numeric_limits<int>::max();
   for (int look = 0; look < 5; ++look) {
@@ -101,9 +104,10 @@ int running_elsewhere() {
   return fewest;
 }
 
-/// Idle OpenMP threads that spin starve other programs; threads that sleep cost an attack step 1.8
-/// times its time on an idle machine. So they sleep only where others are at work already. libgomp
-/// reads its environment before main: the program starts itself again. The user's choice stands.
+/// Makes idle OpenMP threads sleep if the machine is busy. Spinning threads slow down other
+/// programs; on an idle machine, sleeping threads make an attack step 1.8 times slower. libgomp
+/// reads its environment before main, so the program starts itself again. A policy set by the user
+/// is kept.
 void sleep_when_busy(char** argv) {
   if (std::getenv("OMP_WAIT_POLICY") != nullptr) return;
   const auto cores = static_cast<int>(std::thread::hardware_concurrency());
@@ -111,7 +115,7 @@ void sleep_when_busy(char** argv) {
   ::setenv("OMP_WAIT_POLICY", "PASSIVE", 1);
   std::error_code unknown;
   const auto self = std::filesystem::read_symlink("/proc/self/exe", unknown);
-  if (!unknown) ::execv(self.c_str(), argv);  // returns only where it failed: then threads spin
+  if (!unknown) ::execv(self.c_str(), argv);  // returns only on failure; then the threads spin
 }
 
 }  // namespace
@@ -131,7 +135,7 @@ int main(int argc, char** argv) {
         "attack.views_per_step",
         5);
   } catch (const std::exception& error) {
-    // The first line alone: torch appends a stack trace.
+    // Print the first line only, because torch appends a stack trace.
     const std::string text = error.what();
     const bool memory = text.find("DefaultCPUAllocator") != std::string::npos;
     return tt3d::cli::report_error(text.substr(0, text.find('\n')), memory ? 5 : 1);

@@ -9,8 +9,8 @@
 #include <unordered_map>
 
 #include "commands.h"
-#include "tt3d/capture.h"
 #include "tt3d/device.h"
+#include "tt3d/image.h"
 #include "tt3d/model.h"
 
 namespace tt3d::cli {
@@ -19,35 +19,35 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// What the subcommands of `tt3d model` were given.
+/// Arguments of the subcommands of `tt3d model`.
 struct ModelArguments {
   std::string model;
   std::vector<std::string> images;
   int top = 5;
   int batch = 8;
   bool no_fold = false, no_channels_last = false, no_probe = false;
-  Precision precision = Precision::kFloat32;
+  model::Precision precision = model::Precision::kFloat32;
 };
 
-/// Warnings of the library go to stderr.
+/// Prints warnings of the library on stderr.
 class Warnings : public Progress {
  public:
   void note(const std::string& line) override { std::cerr << "warning: " << line << "\n"; }
 };
 
-std::shared_ptr<Classifier> load(const ModelArguments& arguments, const Common& common) {
+std::shared_ptr<model::Classifier> load(const ModelArguments& arguments, const Common& common) {
   apply_common(common);
-  ModelOptions options;
+  model::ModelOptions options;
   options.fold_batch_norm = !arguments.no_fold;
   options.channels_last = !arguments.no_channels_last;
   options.check_probe = !arguments.no_probe;
   options.precision = arguments.precision;
   Warnings warnings;
-  return Classifier::load(arguments.model, {}, &warnings, options);
+  return model::Classifier::load(arguments.model, {}, &warnings, options);
 }
 
-Json card_json(const Classifier& model) {
-  const ModelCard& card = model.card();
+Json card_json(const model::Classifier& model) {
+  const model::ModelCard& card = model.card();
   return {{"name", card.name},
           {"architecture", card.architecture},
           {"path", model.path().string()},
@@ -63,7 +63,7 @@ Json card_json(const Classifier& model) {
 
 void check(const ModelArguments& arguments, const Common& common) {
   if (common.device == "cuda") {
-    throw InputError("model check: packages are read and probed on the CPU; leave out --device");
+    throw InputError("model check runs on the CPU; remove --device");
   }
   reset_peak_memory();
   const int64_t before = peak_memory_bytes();
@@ -72,7 +72,7 @@ void check(const ModelArguments& arguments, const Common& common) {
   const double seconds = now_seconds() - start;
   const int64_t load_peak = peak_memory_bytes() - before;
   model->check_gradients();
-  const ProbeReport& probe = model->probe();
+  const model::ProbeReport& probe = model->probe();
   if (common.json) {
     Json result = card_json(*model);
     result["load_seconds"] = seconds;
@@ -87,18 +87,18 @@ void check(const ModelArguments& arguments, const Common& common) {
     std::cout << result.dump(2) << "\n";
     return;
   }
-  const ModelCard& card = model->card();
+  const model::ModelCard& card = model->card();
   std::cout << fmt::format("{}: {}, {} classes, {}x{} pixels, read in {:.2f} s\n", card.name,
                            card.architecture, card.labels.size(), card.height, card.width, seconds);
   std::cout << (probe.present
                     ? fmt::format("probe: logits within {:.1e} of their range, cosine of the input "
                                   "gradient {:.7f}\n",
                                   probe.logit_error, probe.gradient_cosine)
-                    : "probe: none, answers not checked\n");
+                    : "probe: none; the outputs were not checked\n");
 }
 
 void list(const Common& common) {
-  const auto entries = list_models();
+  const auto entries = model::list_models();
   if (common.json) {
     Json result = Json::array();
     for (const auto& entry : entries) {
@@ -109,8 +109,8 @@ void list(const Common& common) {
   }
   for (const auto& entry : entries) std::cout << entry.name << "\t" << entry.path.string() << "\n";
   if (!entries.empty()) return;
-  std::cout << "no models; looked in";
-  for (const fs::path& folder : model_folders()) std::cout << " " << folder.string();
+  std::cout << "no models found; searched";
+  for (const fs::path& folder : model::model_folders()) std::cout << " " << folder.string();
   std::cout << "; make one with 'python -m tt3d_tools.export efficientnet_lite0'\n";
 }
 
@@ -120,7 +120,7 @@ bool is_image_name(const fs::path& path) {
   return extension == ".jpg" || extension == ".jpeg" || extension == ".png";
 }
 
-/// Image files named on the command line and those of named folders, sorted by name.
+/// Image files on the command line, and those in folders on the command line, sorted by name.
 std::vector<fs::path> image_files(const std::vector<std::string>& names) {
   std::vector<fs::path> files;
   for (const std::string& name : names) {
@@ -132,19 +132,19 @@ std::vector<fs::path> image_files(const std::vector<std::string>& names) {
     for (const auto& entry : fs::directory_iterator(name)) {
       if (entry.is_regular_file() && is_image_name(entry.path())) inside.push_back(entry.path());
     }
-    if (inside.empty()) throw InputError(name, "holds no JPEG or PNG files");
+    if (inside.empty()) throw InputError(name, "has no JPEG or PNG files");
     std::sort(inside.begin(), inside.end());
     files.insert(files.end(), inside.begin(), inside.end());
   }
   return files;
 }
 
-/// The picture the model sees [1,3,H,W]; transparency over white.
-at::Tensor picture(const fs::path& path, const ModelCard& card) {
-  const at::Tensor rgba = read_image(path).to(at::kFloat).div(255);
+/// The input picture [1,3,H,W], composited over white.
+at::Tensor picture(const fs::path& path, const model::ModelCard& card) {
+  const at::Tensor rgba = image::read_image(path).to(at::kFloat).div(255);
   const at::Tensor alpha = rgba.slice(2, 3, 4);
   const at::Tensor rgb = rgba.slice(2, 0, 3) * alpha + (1 - alpha);
-  return preprocess(rgb.permute({2, 0, 1}).unsqueeze(0).contiguous(), card);
+  return model::preprocess(rgb.permute({2, 0, 1}).unsqueeze(0).contiguous(), card);
 }
 
 /// Top classes of one image.
@@ -154,8 +154,8 @@ struct Answer {
   std::vector<double> probabilities;
 };
 
-std::vector<Answer> answers(const Classifier& model, const std::vector<fs::path>& files, int top,
-                            int batch, at::Device device) {
+std::vector<Answer> answers(const model::Classifier& model, const std::vector<fs::path>& files,
+                            int top, int batch, at::Device device) {
   const at::NoGradGuard no_gradients;
   const int64_t count =
       std::min<int64_t>(std::max(top, 5), static_cast<int64_t>(model.card().labels.size()));
@@ -179,7 +179,7 @@ std::vector<Answer> answers(const Classifier& model, const std::vector<fs::path>
   return result;
 }
 
-/// Hits among the images whose file name is a WordNet id of the model.
+/// Counts correct answers for images whose file name is a WordNet id of the model.
 struct Accuracy {
   int64_t n = 0, top1 = 0, top5 = 0;
   [[nodiscard]] double share(int64_t hits) const {
@@ -187,7 +187,7 @@ struct Accuracy {
   }
 };
 
-Accuracy accuracy_of(const std::vector<Answer>& answers, const ModelCard& card) {
+Accuracy accuracy_of(const std::vector<Answer>& answers, const model::ModelCard& card) {
   std::unordered_map<std::string, int64_t> index;
   for (size_t i = 0; i < card.wnids.size(); ++i) index[card.wnids[i]] = static_cast<int64_t>(i);
   Accuracy accuracy;
@@ -202,7 +202,7 @@ Accuracy accuracy_of(const std::vector<Answer>& answers, const ModelCard& card) 
   return accuracy;
 }
 
-Json answer_json(const Answer& answer, const ModelCard& card, int top) {
+Json answer_json(const Answer& answer, const model::ModelCard& card, int top) {
   Json best = Json::array();
   for (size_t k = 0; k < answer.classes.size() && k < static_cast<size_t>(top); ++k) {
     const auto index = static_cast<size_t>(answer.classes[k]);
@@ -214,7 +214,7 @@ Json answer_json(const Answer& answer, const ModelCard& card, int top) {
   return {{"file", answer.path.string()}, {"top", best}};
 }
 
-void print_answer(const Answer& answer, const ModelCard& card, int top) {
+void print_answer(const Answer& answer, const model::ModelCard& card, int top) {
   std::cout << answer.path.string() << ":";
   for (size_t k = 0; k < answer.classes.size() && k < static_cast<size_t>(top); ++k) {
     std::cout << fmt::format("{} {} ({:.1f} %)", k == 0 ? "" : ",",
@@ -251,10 +251,14 @@ void classify(const ModelArguments& arguments, const Common& common) {
 }
 
 void add_speed_options(CLI::App& command, ModelArguments& arguments) {
-  command.add_flag("--no-fold", arguments.no_fold, "do not fold batch normalisation");
-  command.add_flag("--no-channels-last", arguments.no_channels_last, "keep the plain layout");
-  static const std::map<std::string, Precision> names = {
-      {"float32", Precision::kFloat32}, {"bf16", Precision::kBfloat16}, {"tf32", Precision::kTf32}};
+  command.add_flag("--no-fold", arguments.no_fold,
+                   "do not fold batch normalisation into convolutions");
+  command.add_flag("--no-channels-last", arguments.no_channels_last,
+                   "keep the channels-first layout");
+  static const std::map<std::string, model::Precision> names = {
+      {"float32", model::Precision::kFloat32},
+      {"bf16", model::Precision::kBfloat16},
+      {"tf32", model::Precision::kTf32}};
   command
       .add_option("--precision", arguments.precision,
                   "of convolutions and matrix products: float32, bf16 where the processor has it, "
@@ -267,28 +271,29 @@ void add_speed_options(CLI::App& command, ModelArguments& arguments) {
 
 void add_model_command(CLI::App& app, Common& common) {
   const auto arguments = std::make_shared<ModelArguments>();
-  CLI::App* model = app.add_subcommand("model", "Check, try and list classifier packages");
+  CLI::App* model = app.add_subcommand("model", "check, run and list classifier packages");
   model->require_subcommand(1);
 
-  CLI::App* check_command = model->add_subcommand("check", "Read a package and run its probe");
+  CLI::App* check_command = model->add_subcommand("check", "read a package and run its probe");
   check_command->add_option("MODEL", arguments->model, "path to a .pt2 or a name")->required();
-  check_command->add_flag("--no-probe", arguments->no_probe, "read only, run nothing");
+  check_command->add_flag("--no-probe", arguments->no_probe, "only read the package");
   add_speed_options(*check_command, *arguments);
   check_command->callback([arguments, &common] { check(*arguments, common); });
 
   CLI::App* classify_command = model->add_subcommand(
-      "classify", "Label images; on files named by WordNet id, also top-1 and top-5");
+      "classify", "classify images; for files named by WordNet id, also top-1 and top-5 accuracy");
   classify_command->add_option("MODEL", arguments->model, "path to a .pt2 or a name")->required();
-  classify_command->add_option("IMAGE", arguments->images, "JPEG or PNG files, or folders")
+  classify_command->add_option("IMAGE", arguments->images, "JPEG or PNG files, or folders of them")
       ->required();
-  classify_command->add_option("--top", arguments->top, "labels to print for an image")
+  classify_command->add_option("--top", arguments->top, "number of labels per image")
       ->check(CLI::Range(1, 1000));
-  classify_command->add_option("--batch", arguments->batch, "images at a time")
+  classify_command->add_option("--batch", arguments->batch, "images per batch")
       ->check(CLI::Range(1, 1024));
   add_speed_options(*classify_command, *arguments);
   classify_command->callback([arguments, &common] { classify(*arguments, common); });
 
-  CLI::App* list_command = model->add_subcommand("list", "Packages that can be named");
+  CLI::App* list_command =
+      model->add_subcommand("list", "list the packages that can be used by name");
   list_command->callback([&common] { list(common); });
 
   for (CLI::App* command : {check_command, classify_command, list_command}) {

@@ -13,7 +13,7 @@ namespace {
 
 std::atomic<bool> interrupted{false};
 
-/// The first signal asks work to stop at its next step; the second ends the program at once.
+/// The first signal stops the work at its next step; the second ends the program at once.
 void on_signal(int) {
   if (interrupted.exchange(true)) std::_Exit(130);
 }

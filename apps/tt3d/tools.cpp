@@ -7,14 +7,18 @@
 #include <nlohmann/json.hpp>
 
 #include "commands.h"
+#include "key_options.h"
+#include "tt3d/asset.h"
 #include "tt3d/evaluate.h"
+#include "tt3d/image.h"
+#include "tt3d/json.h"
 #include "tt3d/report.h"
 #include "tt3d/run.h"
+#include "tt3d/scene.h"
 #include "tt3d/tensor_file.h"
 #include "tt3d/tool.h"
 
-/// Commands whose work is done by the tools in Python: export, print-check, print-sheet, judge;
-/// and video-score.
+/// Commands that run the Python tools: export, print-check, print-sheet, judge; and video-score.
 namespace tt3d::cli {
 namespace fs = std::filesystem;
 using nlohmann::json;
@@ -23,16 +27,17 @@ namespace {
 constexpr double kToolSeconds = 1800;
 
 /// The longest side of the bounding box.
-double longest_side(const TexturedMesh& mesh) {
+double longest_side(const asset::TexturedMesh& mesh) {
   const at::Tensor span = std::get<0>(mesh.vertices.max(0)) - std::get<0>(mesh.vertices.min(0));
   return span.max().item<double>();
 }
 
-void write_asset(TexturedMesh mesh, const fs::path& out, double size_mm, Progress& progress) {
+void write_asset(asset::TexturedMesh mesh, const fs::path& out, double size_mm,
+                 Progress& progress) {
   const std::string kind = out.extension().string();
   if (kind == ".glb" || kind == ".obj") {
     if (size_mm > 0) mesh.vertices = mesh.vertices * (size_mm / longest_side(mesh));
-    kind == ".glb" ? write_glb(mesh, out) : write_obj(mesh, out);
+    kind == ".glb" ? asset::write_glb(mesh, out) : asset::write_obj(mesh, out);
     return;
   }
   if (kind != ".3mf" && kind != ".stl" && kind != ".ply") {
@@ -40,7 +45,7 @@ void write_asset(TexturedMesh mesh, const fs::path& out, double size_mm, Progres
   }
   if (!out.parent_path().empty()) make_folder(out.parent_path());
   const ExchangeFolder folder;
-  save_mesh_tensors(mesh, folder / "mesh.safetensors");
+  asset::save_mesh_tensors(mesh, folder / "mesh.safetensors");
   (void)run_tool("export_mesh.py",
                  {(folder / "mesh.safetensors").string(), fs::absolute(out).string(),
                   fmt::format("{}", size_mm)},
@@ -56,16 +61,16 @@ struct ExportArguments {
 
 void add_export(CLI::App& app, Common& common) {
   auto a = std::make_shared<ExportArguments>();
-  CLI::App* command = app.add_subcommand("export", "an asset as GLB, OBJ, PLY, 3MF or STL");
+  CLI::App* command = app.add_subcommand("export", "write an asset as GLB, OBJ, PLY, 3MF or STL");
   command->add_option("ASSET", a->asset, "GLB or OBJ")->required();
   command->add_option("--out", a->out, "FILE.glb, .obj, .ply, .3mf or .stl")->required();
-  command->add_option("--size-mm", a->size_mm, "longest side; default: the asset's own units")
+  command->add_option("--size-mm", a->size_mm, "longest side, mm; default: the units of the asset")
       ->check(CLI::PositiveNumber);
   add_common_options(*command, common);
   command->callback([a, &common] {
     (void)apply_common(common);
     const auto progress = make_progress(common);
-    write_asset(load_asset(a->asset), a->out, a->size_mm, *progress);
+    write_asset(asset::load_asset(a->asset), a->out, a->size_mm, *progress);
     std::cout << a->out << "\n";
   });
 }
@@ -92,12 +97,12 @@ void print_findings(const json& result) {
 void print_check(const PrintArguments& a, const Common& common) {
   (void)apply_common(common);
   if (a.flat_base_mm > 0 && a.repair.empty()) {
-    throw InputError("--flat-base changes the mesh: name a file for it with --repair");
+    throw InputError("--flat-base changes the mesh: give an output file with --repair");
   }
   const auto progress = make_progress(common);
-  TexturedMesh mesh = load_asset(a.asset);
+  asset::TexturedMesh mesh = asset::load_asset(a.asset);
   const ExchangeFolder folder;
-  save_mesh_tensors(mesh, folder / "mesh.safetensors");
+  asset::save_mesh_tensors(mesh, folder / "mesh.safetensors");
   const json job = {{"mesh", (folder / "mesh.safetensors").string()},
                     {"size_mm", a.size_mm},
                     {"wall_mm", a.wall_mm},
@@ -114,8 +119,8 @@ void print_check(const PrintArguments& a, const Common& common) {
     const TensorFile mended = load_tensors(folder / "mended.safetensors");
     mesh.vertices = mended.get("vertices", {-1, 3}, at::kFloat);
     mesh.faces = mended.get("faces", {-1, 3}, at::kInt);
-    mesh.uvs = mended.get("uvs", {-1, 2}, at::kFloat);
-    mesh.uv_faces = mended.get("uv_faces", {-1, 3}, at::kInt);
+    mesh.map.uvs = mended.get("uvs", {-1, 2}, at::kFloat);
+    mesh.map.faces = mended.get("uv_faces", {-1, 3}, at::kInt);
     write_asset(mesh, a.repair, a.size_mm, *progress);
   }
   if (common.json)
@@ -127,21 +132,25 @@ void print_check(const PrintArguments& a, const Common& common) {
 void add_print_check(CLI::App& app, Common& common) {
   auto a = std::make_shared<PrintArguments>();
   CLI::App* command =
-      app.add_subcommand("print-check", "what a 3D printer would stumble over, with advice");
+      app.add_subcommand("print-check", "find faults that prevent 3D printing, with advice");
   command->add_option("ASSET", a->asset, "GLB or OBJ")->required();
   command->add_option("--size-mm", a->size_mm, "longest side of the print")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  command->add_option("--wall-mm", a->wall_mm, "thinnest wall the printer makes")
+  command->add_option("--wall-mm", a->wall_mm, "thinnest wall that the printer can make, mm")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
-  command->add_option("--overhang-deg", a->overhang_deg, "from the vertical, free of supports")
+  command
+      ->add_option("--overhang-deg", a->overhang_deg,
+                   "largest overhang without supports, degrees from the vertical")
       ->check(CLI::Range(0, 90))
       ->capture_default_str();
-  command->add_option("--gamut", a->gamut, "file with a printable colour #rrggbb a line");
-  command->add_option("--flat-base", a->flat_base_mm, "mm at the bottom that --repair presses flat")
+  command->add_option("--gamut", a->gamut, "file of printable colours, one #rrggbb per line");
+  command
+      ->add_option("--flat-base", a->flat_base_mm,
+                   "height at the bottom that --repair makes flat, mm")
       ->check(CLI::NonNegativeNumber);
-  command->add_option("--repair", a->repair, "file for the mended asset, at --size-mm");
+  command->add_option("--repair", a->repair, "file of the repaired asset, scaled to --size-mm");
   add_common_options(*command, common);
   command->callback([a, &common] { print_check(*a, common); });
 }
@@ -155,10 +164,11 @@ struct SheetArguments {
 
 void add_print_sheet(CLI::App& app, Common& common) {
   auto a = std::make_shared<SheetArguments>();
-  CLI::App* command =
-      app.add_subcommand("print-sheet", "a page with scale bar and protocol for filming a print");
+  CLI::App* command = app.add_subcommand(
+      "print-sheet", "write a page with a scale bar and a protocol for filming a print");
   command->add_option("--out", a->out, "FILE.svg")->required();
-  command->add_option("--object", a->object, "its name on the page")->capture_default_str();
+  command->add_option("--object", a->object, "name of the object on the page")
+      ->capture_default_str();
   command->add_option("--target", a->target, "name of the target class");
   command->add_option("--size-mm", a->size_mm, "longest side of the print")
       ->check(CLI::PositiveNumber)
@@ -177,14 +187,19 @@ void add_print_sheet(CLI::App& app, Common& common) {
 // ---- judge --------------------------------------------------------------------------------
 
 struct JudgeArguments {
-  std::string task, asset, text, model, distribution = "dome", background = "white", out;
-  int64_t views = 20;
-  int size = 400;
+  std::string task, text, model, out;
+  evaluate::EvaluateOptions options;  ///< uses asset, views, background and renderer
+  KeyList keys, renderer_keys;        ///< bound to options
   double threshold = 0.3;
-  RendererChoice renderer;
+
+  JudgeArguments() {
+    options.views = 20;
+    options.keys(keys);
+    options.renderer.keys(renderer_keys);
+  }
 };
 
-/// "a hot dog. a teddy bear." as phrases.
+/// Splits "a hot dog. a teddy bear." into phrases.
 std::vector<std::string> phrases_in(const std::string& text) {
   std::vector<std::string> phrases;
   std::string phrase;
@@ -201,58 +216,73 @@ std::vector<std::string> phrases_in(const std::string& text) {
   return phrases;
 }
 
-/// Pictures of an asset over its background as PNG files.
+/// Writes pictures of an asset over its background as PNG files.
 json write_pictures(const JudgeArguments& a, const Common& common, const ExchangeFolder& folder,
                     Progress& progress) {
-  const TexturedMesh mesh = load_asset(a.asset);
-  const auto views = evaluation_views(a.distribution, common.seed, a.views, a.size,
-                                      asset_view_frame(mesh, a.asset));
-  const AssetViews pictures(a.asset, mesh, views, a.renderer, apply_common(common), progress);
-  const Backgrounds backgrounds(a.background);
+  const evaluate::EvaluateOptions& o = a.options;
+  const asset::TexturedMesh mesh = asset::load_asset(o.asset);
+  const auto views = evaluate::evaluation_views(o.view_distribution, common.seed, o.views, o.size,
+                                                asset::view_frame(mesh, o.asset));
+  const evaluate::AssetViews pictures(o.asset, mesh, views, o.renderer, apply_common(common),
+                                      progress);
+  const scene::Backgrounds background(o.background);
   json files = json::array();
-  for (int64_t i = 0; i < a.views; ++i) {
-    const at::Tensor rgba = pictures.render(i, i + 1)[0].cpu();
-    Random random(common.seed, "evaluate/background", static_cast<uint64_t>(i));
-    const at::Tensor rgb = rgba.narrow(2, 0, 3) +
-                           (1 - rgba.narrow(2, 3, 1)) * backgrounds.draw(a.size, a.size, random);
+  for (int64_t i = 0; i < o.views; ++i) {
+    const at::Tensor picture =
+        evaluate::pictures_over(pictures, background, i, i + 1, common.seed)[0];
     const fs::path file = folder / fmt::format("judged{}.png", i);
-    write_file_atomic(file, encode_png(to_uint8(rgb)));
+    write_file_atomic(file, image::encode_png(image::to_uint8(picture.permute({1, 2, 0}).cpu())));
     files.push_back(file.string());
   }
   return files;
 }
 
-void judge(const JudgeArguments& a, const Common& common) {
-  const auto progress = make_progress(common);
-  const auto phrases = phrases_in(a.text);
+/// Runs the judge over the pictures.
+record::JudgeRecord ask(const JudgeArguments& a, const std::vector<std::string>& phrases,
+                        const Common& common, Progress& progress) {
   const ExchangeFolder folder;
   const json job = {
       {"task", a.task},
       {"model", fs::absolute(a.model.empty() ? "models/judges/" + a.task : a.model).string()},
       {"texts", phrases},
       {"threshold", a.threshold},
-      {"pictures", write_pictures(a, common, folder, *progress)},
+      {"pictures", write_pictures(a, common, folder, progress)},
       {"out", (folder / "answers.json").string()}};
   write_file_atomic(folder / "job.json", job.dump());
-  (void)run_tool("judge.py", {(folder / "job.json").string()}, "judge", kToolSeconds, *progress);
-  json result = json::parse(read_file(folder / "answers.json"));
-  result["asset"] = a.asset;
-  result["renderer"] = {{"name", a.renderer.name}, {"lit", a.renderer.lit}};
-  result["background"] = a.background;
-  result["views"] = {{"distribution", a.distribution}, {"count", a.views}, {"seed", common.seed}};
-  if (!a.out.empty()) write_file_atomic(a.out, result.dump(1) + "\n");
+  (void)run_tool("judge.py", {(folder / "job.json").string()}, "judge", kToolSeconds, progress);
+  const json document = read_json(folder / "answers.json");
+  const JsonValue answers(document, folder / "answers.json");
+  const evaluate::EvaluateOptions& o = a.options;
+  record::JudgeRecord record;
+  record.task = answers.at("task").as<std::string>();
+  record.model = answers.at("model").as<std::string>();
+  record.shares = answers.at("shares").as<std::map<std::string, double>>();
+  record.answers = answers.at("answers").raw();
+  record.asset = o.asset.string();
+  record.renderer = {name_of(o.renderer.name), std::nullopt, o.renderer.lit, std::nullopt};
+  record.background = o.background;
+  record.views = {name_of(o.view_distribution), o.views, common.seed, o.size};
+  return record;
+}
+
+void judge(const JudgeArguments& a, const Common& common) {
+  const auto progress = make_progress(common);
+  const auto phrases = phrases_in(a.text);
+  const record::JudgeRecord record = ask(a, phrases, common, *progress);
+  if (!a.out.empty()) write_json(a.out, to_json(record));
   if (common.json) {
-    std::cout << result.dump(1) << "\n";
+    std::cout << to_json(record).dump(1) << "\n";
     return;
   }
   for (const std::string& phrase : phrases) {
     std::cout << fmt::format("{:<24} found in {:.1f} % of {} views\n", phrase,
-                             100 * result["shares"][phrase].get<double>(), a.views);
+                             100 * record.shares.at(phrase), record.views.count);
   }
 }
 
 void add_judge(CLI::App& app, Common& common) {
-  CLI::App* group = app.add_subcommand("judge", "other tasks: detection, captions, zero-shot");
+  CLI::App* group =
+      app.add_subcommand("judge", "test models of other tasks: detection, captions, zero-shot");
   group->require_subcommand(1);
   for (const auto& [task, words] : {std::pair{"detect", "zero-shot detection with Grounding DINO"},
                                     {"caption", "captions with BLIP"},
@@ -260,20 +290,21 @@ void add_judge(CLI::App& app, Common& common) {
     auto a = std::make_shared<JudgeArguments>();
     a->task = task;
     CLI::App* command = group->add_subcommand(task, words);
-    command->add_option("ASSET", a->asset, "GLB or OBJ")->required();
-    command->add_option("--text", a->text, "phrases: what the object is. what it should be.")
+    command->add_option("ASSET", a->options.asset, "GLB or OBJ")->required();
+    command
+        ->add_option("--text", a->text, "phrases that end in dots: \"TRUE CLASS. TARGET CLASS.\"")
         ->required();
     command->add_option("--model", a->model, "folder of the model; default models/judges/TASK");
-    command->add_option("--views", a->views)->check(CLI::Range(1, 100000))->capture_default_str();
-    command->add_option("--view-distribution", a->distribution)->capture_default_str();
-    command->add_option("--size", a->size)->check(CLI::Range(16, 8192))->capture_default_str();
-    command->add_option("--background", a->background)->capture_default_str();
-    command->add_option("--threshold", a->threshold, "of a box's score")
+    add_key_option(*command, "--views", a->keys, "views");
+    add_key_option(*command, "--view-distribution", a->keys, "view_distribution");
+    add_key_option(*command, "--size", a->keys, "size");
+    add_key_option(*command, "--background", a->keys, "background");
+    command->add_option("--threshold", a->threshold, "smallest score of a counted box")
         ->check(CLI::Range(0.0, 1.0))
         ->capture_default_str();
-    command->add_option("--renderer", a->renderer.name)->capture_default_str();
-    command->add_flag("--lit", a->renderer.lit);
-    command->add_option("--out", a->out, "FILE.json with every answer");
+    add_key_option(*command, "--renderer", a->renderer_keys, "renderer");
+    add_key_option(*command, "--lit", a->renderer_keys, "lit");
+    command->add_option("--out", a->out, "FILE.json with all answers");
     add_common_options(*command, common);
     command->callback([a, &common] { judge(*a, common); });
   }
@@ -281,56 +312,58 @@ void add_judge(CLI::App& app, Common& common) {
 
 // ---- video-score --------------------------------------------------------------------------
 
-void video_score(VideoOptions& o, const std::string& out, const Common& common) {
-  o.device = apply_common(common);
-  const auto progress = make_progress(common);
-  const VideoRecord record = score_video(o, *progress);
-  const std::string text = video_json(record);
-  if (!out.empty()) {
-    write_video_record(record, out);
-    ReportInput page;
-    page.title = o.video.filename().string() + ": frames and answers";
-    page.videos = {read_video(out)};
-    write_report(page, fs::path(out).replace_extension(".html"));
-  }
-  if (common.json) {
-    std::cout << text;
-    return;
-  }
-  const json j = json::parse(text);
-  for (const json& v : j["victims"]) {
-    std::cout << fmt::format("{:<24} ASR {:.1f} % of {} frames\n", v["name"].get<std::string>(),
-                             100 * v["asr"].get<double>(), v["frames"].get<int64_t>());
-    for (const auto& [label, one] : v["backgrounds"].items()) {
-      std::cout << fmt::format("  {:<22} ASR {:.1f} % of {} frames\n",
-                               label.empty() ? "(no label)" : label, 100 * one["asr"].get<double>(),
-                               one["frames"].get<int64_t>());
+void print_video(const record::VideoRecord& record) {
+  const auto line = [](const std::string& name, const record::FrameShare& share) {
+    std::cout << fmt::format("{:<24} ASR {:.1f} % of {} frames\n", name, 100 * share.asr,
+                             share.frames);
+  };
+  for (const record::VideoVictim& v : record.victims) {
+    line(v.name, v.all);
+    for (const auto& [label, share] : v.backgrounds) {
+      line("  " + (label.empty() ? std::string("(no label)") : label), share);
     }
   }
 }
 
+void video_score(evaluate::VideoOptions& o, const std::string& out, const Common& common) {
+  o.device = apply_common(common);
+  const auto progress = make_progress(common);
+  evaluate::ScoredVideo video = evaluate::score_video(o, *progress);
+  if (!out.empty()) {
+    evaluate::save(video, out);
+    report::ReportInput page;
+    page.title = o.video.filename().string() + ": frames and answers";
+    page.videos = {run::load_video(out, video.record)};
+    report::write_report(page, fs::path(out).replace_extension(".html"));
+  }
+  if (common.json)
+    std::cout << to_json(video.record).dump(1) << "\n";
+  else
+    print_video(video.record);
+}
+
 void add_video_score(CLI::App& app, Common& common) {
-  auto o = std::make_shared<VideoOptions>();
+  auto o = std::make_shared<evaluate::VideoOptions>();
   auto out = std::make_shared<std::string>();
   CLI::App* command =
-      app.add_subcommand("video-score", "scores the frames of a video of the printed object");
-  command->add_option("VIDEO", o->video, "any file that ffmpeg reads")->required();
+      app.add_subcommand("video-score", "score the frames of a video of the printed object");
+  command->add_option("VIDEO", o->video, "video file that ffmpeg can read")->required();
   command->add_option("--target", o->target, "class: index, WordNet id or name")->required();
   command->add_option("--victims", o->victims, "models that are scored")->required();
   command->add_option("--true-class", o->true_class, "class of the object");
-  command->add_option("--frames", o->frames, "sampled evenly")
+  command->add_option("--frames", o->frames, "number of frames, evenly spaced")
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   CLI::Option* box =
-      command->add_option("--box", o->box, "LEFT,TOP,WIDTH,HEIGHT in pixels, upright frame");
-  command->add_option("--mask", o->mask, "picture: light where the object is")->excludes(box);
+      command->add_option("--box", o->box, "LEFT,TOP,WIDTH,HEIGHT in pixels of the upright frame");
+  command->add_option("--mask", o->mask, "picture that is light at the object")->excludes(box);
   command->add_flag("--track", o->track, "follow the box of the first frame (OpenCV's CSRT)");
-  command->add_option("--backgrounds", o->backgrounds, "CSV: start_seconds,end_seconds,label");
-  command->add_option("--time-limit", o->time_limit_seconds, "seconds")
+  command->add_option("--backgrounds", o->backgrounds, "CSV file: start_seconds,end_seconds,label");
+  command->add_option("--time-limit", o->time_limit_seconds, "time limit, seconds")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
   command->add_option("--out", *out,
-                      "FILE.json; beside it FILE.csv, FILE.html and the pictures in FILE.frames");
+                      "FILE.json; also writes FILE.csv, FILE.html and the pictures in FILE.frames");
   add_common_options(*command, common);
   command->callback([o, out, &common] { video_score(*o, *out, common); });
 }

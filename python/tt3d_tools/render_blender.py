@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-import scene
 import toolkit
+
+import scene
 
 START_SECONDS = 120  # for Blender's start and the import of the asset
 

@@ -18,8 +18,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import scene
 import toolkit
+
+import scene
 
 # MeshLab's codes in a project file for textured triangles and vertex colours; True: lit per vertex.
 OPTIONS = {

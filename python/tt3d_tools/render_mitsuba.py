@@ -9,8 +9,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-import scene
 import toolkit
+
+import scene
 
 MINIMUM_LLVM = 17  # older versions cannot lower llvm.minimum for AVX-512 and end the process
 

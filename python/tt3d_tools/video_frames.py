@@ -174,43 +174,48 @@ def cut(frame: np.ndarray, box: list[float], path: Path) -> None:
     picture.save(path)
 
 
+def cut_frames(
+    job: dict[str, Any], facts: dict[str, Any], size: tuple[int, int], rate: float, every: int
+) -> list[dict[str, Any]]:
+    """Write every `every`-th of the frames decoded at `rate`; return their places in the video."""
+    width, height = size
+    to_frame = (width / facts["width"], height / facts["height"]) * 2
+    box = first_box(job, facts["width"], facts["height"])
+    small = [x * s for x, s in zip(box, to_frame, strict=True)]
+    if rate * SEEK_SECONDS < 1:
+        pictures = seek(job["video"], rate, job["frames"], width, height)
+    else:
+        pictures = decode(job["video"], rate, width, height)
+    follower, frames = None, []
+    for i, frame in enumerate(pictures):
+        if job["track"] and follower is None:
+            follower = Follower(frame, small)
+        elif follower is not None:
+            small = follower.follow(frame)
+        if i % every != 0 or len(frames) >= job["frames"]:
+            continue
+        path = Path(job["folder"]) / f"frame{len(frames):05}.png"
+        cut(frame, small, path)
+        frames.append(
+            {
+                "file": str(path),
+                "index": round(i / rate * facts["rate"]),
+                "seconds": i / rate,
+                "box": [round(x / s) for x, s in zip(small, to_frame, strict=True)],
+            }
+        )
+        toolkit.progress(len(frames), job["frames"])
+    return frames
+
+
 def sample(job: dict[str, Any]) -> dict[str, Any]:
     """Write the sampled frames; return the content of the job's `out`."""
     facts = probe(job["video"])
     scale = min(1.0, DECODED_SIDE / max(facts["width"], facts["height"]))
     width, height = (max(2, round(facts[k] * scale / 2) * 2) for k in ("width", "height"))
-    box = first_box(job, facts["width"], facts["height"])
-    small = [
-        x * s
-        for x, s in zip(box, (width / facts["width"], height / facts["height"]) * 2, strict=True)
-    ]
     wanted_rate = job["frames"] / facts["duration"]
     rate = min(facts["rate"], max(wanted_rate, TRACKING_RATE) if job["track"] else wanted_rate)
-    every = max(1, int(rate / wanted_rate))
-    follower, frames = None, []
-    if rate * SEEK_SECONDS < 1:
-        pictures = seek(job["video"], rate, job["frames"], width, height)
-    else:
-        pictures = decode(job["video"], rate, width, height)
-    for i, frame in enumerate(pictures):
-        if job["track"]:
-            if follower is None:
-                follower = Follower(frame, small)
-            else:
-                small = follower.follow(frame)
-        if i % every == 0 and len(frames) < job["frames"]:
-            path = Path(job["folder"]) / f"frame{len(frames):05}.png"
-            cut(frame, small, path)
-            back = [facts["width"] / width, facts["height"] / height] * 2
-            frames.append(
-                {
-                    "file": str(path),
-                    "index": round(i / rate * facts["rate"]),
-                    "seconds": i / rate,
-                    "box": [round(x * s) for x, s in zip(small, back, strict=True)],
-                }
-            )
-            toolkit.progress(len(frames), job["frames"])
+    frames = cut_frames(job, facts, (width, height), rate, max(1, int(rate / wanted_rate)))
     if not frames:
         raise toolkit.InputProblem(f"{job['video']}: has no frames")
     expected = min(job["frames"], round(facts["duration"] * facts["rate"]))

@@ -7,23 +7,25 @@
 
 #include "picture_ops.h"
 #include "tt3d/eot.h"
+#include "tt3d/image.h"
 #include "tt3d/lighting.h"
 #include "tt3d/random_tensor.h"
+#include "tt3d/scene.h"
 
-namespace tt3d {
+namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
 
-constexpr int64_t kBilinear = 0, kZeros = 0;  // of at::grid_sampler
-constexpr double kLeastBlur = 0.2;            // pixels; less is nothing
+constexpr int64_t kBilinear = 0, kZeros = 0;  // enum values of at::grid_sampler
+constexpr double kLeastBlur = 0.2;            // pixels; a smaller sigma means no blur
 
-/// One number a picture, shaped to broadcast over `pictures` [N,C,H,W], on their device.
+/// One number per picture, shaped to broadcast over `pictures` [N,C,H,W], on their device.
 Tensor column(const std::vector<float>& values, const Tensor& pictures) {
   return at::tensor(values).view({-1, 1, 1, 1}).to(pictures.device());
 }
 
-/// Affine maps from the frame to the picture: rotation, size and place. [N,2,3].
+/// Affine maps from the frame to the picture: rotation, scale and translation. [N,2,3].
 Tensor placements(int64_t count, const EotOptions& o, Random& random) {
   Tensor theta = at::empty({count, 2, 3});
   auto* p = theta.mutable_data_ptr<float>();
@@ -38,10 +40,10 @@ Tensor placements(int64_t count, const EotOptions& o, Random& random) {
   return theta;
 }
 
-/// A plain colour, a photograph or white for each picture: [N,3,1,1], or [N,3,size,size] where
-/// photographs may be among them.
-Tensor backgrounds(int64_t count, int64_t size, const EotOptions& o, const Backgrounds* photographs,
-                   Random& random) {
+/// A plain colour, a photograph or white for each picture. Returns [N,3,1,1], or [N,3,size,size] if
+/// photographs are given.
+Tensor backgrounds(int64_t count, int64_t size, const EotOptions& o,
+                   const scene::Backgrounds* photographs, Random& random) {
   const int64_t side = photographs == nullptr ? 1 : size;
   Tensor out = at::ones({count, 3, side, side});
   for (int64_t i = 0; i < count; ++i) {
@@ -66,7 +68,7 @@ std::vector<float> factors(int64_t count, double spread, Random& random) {
 
 /// Brightness b, contrast c around the mean, saturation s around the grey picture: together
 ///   y = A x + d,  A = b c (s I + (1 - s) 1 luma^T),  d = (1 - c) b mean(x),
-/// one product a picture instead of a pass over the pixels for each.
+/// One matrix product per picture replaces three passes over the pixels.
 Tensor jitter_colors(const Tensor& x, const EotOptions& o, Random& random) {
   const int64_t n = x.size(0);
   const Tensor brightness = column(factors(n, o.brightness, random), x).view({n, 1, 1});
@@ -80,7 +82,8 @@ Tensor jitter_colors(const Tensor& x, const EotOptions& o, Random& random) {
   return at::baddbmm(shift, mixed, pixels).view(x.sizes());
 }
 
-/// Down to a share of the pixels a side, as a small sensor or a resize would, and up again.
+/// Reduces each side to a share of its pixels and enlarges it again, as a small sensor or a resize
+/// does.
 Tensor reduce_resolution(const Tensor& x, double share) {
   const int64_t height = x.size(2), width = x.size(3);
   const auto pixels = [&](int64_t side) {
@@ -90,7 +93,7 @@ Tensor reduce_resolution(const Tensor& x, double share) {
   return at::upsample_bilinear2d(small, {height, width}, false);
 }
 
-/// JPEG on a share of the pictures, each of its own quality.
+/// Compresses a share of the pictures as JPEG, each with its own random quality.
 Tensor compress(const Tensor& x, const EotOptions& o, Random random) {
   std::vector<int64_t> chosen;
   std::vector<int> qualities;
@@ -106,8 +109,8 @@ Tensor compress(const Tensor& x, const EotOptions& o, Random random) {
   return x.index_copy(0, index, jpeg_stand_in(x.index_select(0, index), qualities));
 }
 
-/// Adds a share of another photograph to each picture, whose own part keeps its strength.
-Tensor mix_in(const Tensor& x, double share, const Backgrounds& photographs, Random random) {
+/// Adds a share of a random photograph to each picture. The picture itself is not scaled.
+Tensor mix_in(const Tensor& x, double share, const scene::Backgrounds& photographs, Random random) {
   std::vector<Tensor> others;
   for (int64_t i = 0; i < x.size(0); ++i) {
     others.push_back(photographs.draw(x.size(2), x.size(3), random).permute({2, 0, 1}));
@@ -115,7 +118,7 @@ Tensor mix_in(const Tensor& x, double share, const Backgrounds& photographs, Ran
   return (x + at::stack(others).to(x.device()) * share).clamp(0, 1);
 }
 
-/// Shrinks a share of the pictures, and pads them with black at a random place.
+/// Shrinks a share of the pictures and pads them with black. The position is random.
 Tensor diversify(const Tensor& x, const EotOptions& o, Random random) {
   std::vector<int64_t> chosen;
   std::vector<float> maps;
@@ -137,20 +140,20 @@ Tensor diversify(const Tensor& x, const EotOptions& o, Random random) {
   return x.index_copy(0, index, at::grid_sampler(whole, grid, kBilinear, kZeros, false));
 }
 
-/// The stream of a transform that draws from its own, so that switching it on leaves the others'
-/// draws as they are.
+/// A random stream for one transform. Turning the transform on does not change the draws of the
+/// others.
 Random stream_of(const char* transform, uint64_t seed, int64_t step) {
   return Random(seed, std::string("attack/eot/") + transform, static_cast<uint64_t>(step));
 }
 
 }  // namespace
 
-std::vector<Camera> shift_object(std::vector<Camera> cameras, double radius, const EotOptions& o,
-                                 uint64_t seed, int64_t step) {
+std::vector<scene::Camera> shift_object(std::vector<scene::Camera> cameras, double radius,
+                                        const EotOptions& o, uint64_t seed, int64_t step) {
   if (o.object_shift <= 0) return cameras;
   Random random = stream_of("object_shift", seed, step);
   // An object shifted one way is a camera shifted the other way.
-  for (Camera& camera : cameras) {
+  for (scene::Camera& camera : cameras) {
     for (int k = 0; k < 3; ++k) {
       camera.camera_to_world[4 * k + 3] -= random.uniform(-1, 1) * o.object_shift * radius;
     }
@@ -175,20 +178,20 @@ Tensor light_pictures(const Tensor& images, const Tensor& normals, const EotOpti
   const Tensor length = (normals.square().sum(1, true) + 1e-12).sqrt();
   const Tensor cosine = (normals * towards).sum(1, true) / length;
   const Tensor share = column(shares, images);
-  // The lobe's mean over the sphere is 1/4.
-  const Tensor factor = (1 - share + share * 4 * lobe(cosine)).clamp_min(0);
+  // The mean of lobe() over the sphere is 1/4.
+  const Tensor factor = (1 - share + share * 4 * object::lobe(cosine)).clamp_min(0);
   return at::cat({images.narrow(1, 0, 3) * factor, images.narrow(1, 3, 1)}, 1);
 }
 
 Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o, uint64_t seed,
-                        int64_t step, const Backgrounds* photographs) {
+                        int64_t step, const scene::Backgrounds* photographs) {
   Random random(seed, "attack/eot", static_cast<uint64_t>(step));
   const int64_t n = images.size(0);
   const Tensor maps = placements(n, o, random).to(images.device());
   const Tensor behind = backgrounds(n, size, o, photographs, random).to(images.device());
   Tensor x = jitter_colors(place_over(images, maps, behind, size), o, random);
   const double blur_sigma = random.uniform(0, 1) * o.blur;
-  if (blur_sigma >= kLeastBlur) x = gaussian_blur(x, blur_sigma);
+  if (blur_sigma >= kLeastBlur) x = image::gaussian_blur(x, blur_sigma);
   if (o.resolution < 1) {
     Random own = stream_of("resolution", seed, step);
     x = reduce_resolution(x, own.uniform(o.resolution, 1));
@@ -206,4 +209,4 @@ Tensor transform_images(const Tensor& images, int64_t size, const EotOptions& o,
   return x;
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::attack

@@ -7,13 +7,13 @@
 
 #include "tt3d/eot.h"
 
-namespace tt3d {
+namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
 using Table = std::array<int, 64>;
 
-// Quantisation tables of ITU-T T.81, annex K.1, a row of the block a line.
+// Quantisation tables of ITU-T T.81, annex K.1; each line is one row of the block.
 constexpr Table kLuminance = {16, 11, 10, 16, 24,  40,  51,  61,   //
                               12, 12, 14, 19, 26,  58,  60,  55,   //
                               14, 13, 16, 24, 40,  57,  69,  56,   //
@@ -31,7 +31,7 @@ constexpr Table kChrominance = {17, 18, 24, 47, 99, 99, 99, 99,  //
                                 99, 99, 99, 99, 99, 99, 99, 99,  //
                                 99, 99, 99, 99, 99, 99, 99, 99};
 
-/// The table that libjpeg uses at a quality (jcparam.c, jpeg_quality_scaling).
+/// The table that libjpeg uses for a quality (jcparam.c, jpeg_quality_scaling).
 std::array<double, 64> scaled(const Table& table, int quality) {
   const int percent = quality < 50 ? 5000 / quality : 200 - 2 * quality;
   std::array<double, 64> out{};
@@ -41,7 +41,7 @@ std::array<double, 64> scaled(const Table& table, int quality) {
   return out;
 }
 
-/// Tables of all pictures, [N,1,1,8,8] in the type and place of `like`.
+/// Tables of all pictures, [N,1,1,8,8], with the dtype and device of `like`.
 Tensor tables(const Table& table, const std::vector<int>& qualities, const Tensor& like) {
   Tensor out = at::empty({static_cast<int64_t>(qualities.size()), 1, 1, 8, 8}, at::kDouble);
   auto* p = out.mutable_data_ptr<double>();
@@ -51,7 +51,7 @@ Tensor tables(const Table& table, const std::vector<int>& qualities, const Tenso
   return out.to(like.options());
 }
 
-/// The orthonormal cosine transform of 8 samples, a row a frequency: [8,8].
+/// The orthonormal cosine transform of 8 samples: [8,8], one row per frequency.
 Tensor cosine_matrix(const Tensor& like) {
   Tensor m = at::empty({8, 8}, at::kDouble);
   auto* p = m.mutable_data_ptr<double>();
@@ -79,7 +79,7 @@ Tensor quantize(const Tensor& plane, const Tensor& table, const Tensor& cosines)
       .reshape({n, height, width});
 }
 
-/// A linear map of the three colours, rows [3,3] as JFIF 1.02 has them.
+/// A linear map of the three colours; the rows [3,3] come from JFIF 1.02.
 Tensor mix(const Tensor& images, const std::array<double, 9>& rows) {
   const Tensor m = at::tensor(at::ArrayRef<double>(rows), at::kDouble).view({3, 3});
   return at::einsum("kc,nchw->nkhw", {m.to(images.options()), images});
@@ -88,7 +88,7 @@ Tensor mix(const Tensor& images, const std::array<double, 9>& rows) {
 }  // namespace
 
 Tensor jpeg_stand_in(const Tensor& images, const std::vector<int>& qualities) {
-  constexpr int64_t kUnit = 16;  // two blocks of luminance for one of halved chroma
+  constexpr int64_t kUnit = 16;  // an 8x8 block of halved chroma covers 16x16 pixels
   const int64_t height = images.size(2), width = images.size(3);
   const int64_t below = (kUnit - height % kUnit) % kUnit, right = (kUnit - width % kUnit) % kUnit;
   const Tensor whole = at::replication_pad2d(images * 255, {0, right, 0, below});
@@ -102,11 +102,11 @@ Tensor jpeg_stand_in(const Tensor& images, const std::vector<int>& qualities) {
   const Tensor coded = at::stack({quantize(halved.select(1, 0), chroma_table, cosines),
                                   quantize(halved.select(1, 1), chroma_table, cosines)},
                                  1);
-  // Bilinear is the triangle filter of libjpeg's decoder.
+  // Bilinear interpolation equals the triangle filter of libjpeg's decoder.
   const Tensor chroma = at::upsample_bilinear2d(coded, {whole.size(2), whole.size(3)}, false);
   const Tensor rgb = mix(at::cat({luma.unsqueeze(1), chroma}, 1),
                          {1, 0, 1.402, 1, -0.344136286, -0.714136286, 1, 1.772, 0});
   return (rgb.narrow(2, 0, height).narrow(3, 0, width) / 255).clamp(0, 1);
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::attack

@@ -5,25 +5,19 @@
 #include <cmath>
 #include <sstream>
 
-#include "attack_state.h"
 #include "picture_ops.h"
-#include "tt3d/similarity.h"
+#include "tt3d/image.h"
+#include "tt3d/mesh.h"
 
-namespace tt3d {
+namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
 
-/// Squared distance that a PSNR stands for, pictures in [0,1].
+/// The mean squared error of a PSNR, for pictures in [0,1].
 double mse_of_psnr(double psnr) { return psnr > 0 ? std::pow(10.0, -psnr / 10) : 0.0; }
 
-LaplacianWeights weights_named(const std::string& name) {
-  if (name == "uniform") return LaplacianWeights::kUniform;
-  if (name == "cotangent") return LaplacianWeights::kCotangent;
-  throw InputError("attack.laplacian: unknown '" + name + "', expected uniform or cotangent");
-}
-
-/// The colour that a line holds; false for a line without one.
+/// Reads the colour of a line; false for a line without one.
 bool parse_color(std::string line, float* color) {
   line = line.substr(0, line.find('#'));
   for (char& c : line) {
@@ -42,11 +36,6 @@ bool parse_color(std::string line, float* color) {
 
 }  // namespace
 
-const std::vector<std::string>& laplacian_names() {
-  static const std::vector<std::string> names = {"uniform", "cotangent"};
-  return names;
-}
-
 Tensor total_variation(const Tensor& images) {
   constexpr double kSmooth = 1e-4;
   const int64_t height = images.size(2), width = images.size(3);
@@ -57,7 +46,8 @@ Tensor total_variation(const Tensor& images) {
 }
 
 Tensor non_printability(const Tensor& colors, const Tensor& printable) {
-  // Chosen without a gradient: then only the distance to the nearest has one, finite also at 0.
+  // Choose the nearest without a gradient. Then only the distance to it has a gradient, which is
+  // finite at 0 too.
   Tensor nearest;
   {
     at::NoGradGuard guard;
@@ -68,11 +58,12 @@ Tensor non_printability(const Tensor& colors, const Tensor& printable) {
 }
 
 Tensor process_ink_mixes() {
-  // The inks' usual sRGB values; a real printer's differ, so its own list is better.
+  // Typical sRGB values of the inks. Those of a real printer differ, so its own list is better.
   constexpr double kInks[3][3] = {{0, 0.68, 0.94}, {0.93, 0, 0.55}, {1, 0.95, 0}};
   std::vector<float> mixes;
   for (int mix = 0; mix < 27; ++mix) {
-    const double coverage[3] = {(mix % 3) / 2.0, (mix / 3 % 3) / 2.0, (mix / 9) / 2.0};
+    const int halves[3] = {mix % 3, mix / 3 % 3, mix / 9};
+    const double coverage[3] = {halves[0] / 2.0, halves[1] / 2.0, halves[2] / 2.0};
     for (int k = 0; k < 3; ++k) {
       double value = 1;
       for (int ink = 0; ink < 3; ++ink) value *= 1 - coverage[ink] * (1 - kInks[ink][k]);
@@ -94,7 +85,7 @@ Tensor load_printer_colors(const std::filesystem::path& path) {
       throw InputError(path, number, error.what());
     }
   }
-  if (values.empty()) throw InputError(path, "holds no colour");
+  if (values.empty()) throw InputError(path, "holds no colours, expected three numbers a line");
   return at::tensor(values).view({-1, 3});
 }
 
@@ -106,20 +97,21 @@ void limit_offsets(const Tensor& offsets, double most) {
 
 Naturalness::Naturalness(const AttackInput& input, const AttackOptions& options)
     : options_(options),
-      shape_is_free_(optimizes(options, "vertices")),
-      regularizer_(input.mesh, weights_named(options.laplacian)),
-      rest_(input.mesh.vertices) {
+      shape_is_free_(options.optimizes(object::Part::kVertices)),
+      regularizer_(input.object.mesh, options.naturalness.laplacian),
+      rest_(input.object.mesh.vertices) {
   at::NoGradGuard guard;
   rest_edge_ = regularizer_.edge_length(rest_).item<double>();
-  if (options.printability_weight > 0) {
-    printable_ = (options.printer_colors.empty() ? process_ink_mixes()
-                                                 : load_printer_colors(options.printer_colors))
+  if (options.naturalness.printability_weight > 0) {
+    printable_ = (options.naturalness.printer_colors.empty()
+                      ? process_ink_mixes()
+                      : load_printer_colors(options.naturalness.printer_colors))
                      .to(rest_.device());
   }
 }
 
 bool Naturalness::compares_pictures() const {
-  return options_.ssim_floor > 0 || options_.variation_weight > 0;
+  return options_.naturalness.ssim_floor > 0 || options_.naturalness.variation_weight > 0;
 }
 
 Naturalness::Terms Naturalness::terms(const Rendering& shown, const Tensor& vertices) const {
@@ -130,30 +122,35 @@ Naturalness::Terms Naturalness::terms(const Rendering& shown, const Tensor& vert
     t.laplacian = regularizer_.laplacian(vertices);
     t.edge = regularizer_.edge_length(vertices) - rest_edge_;
   }
-  const Tensor excess = (shown.rgb - mse_of_psnr(options_.psnr_floor)).clamp_min(0);
-  t.total = options_.rgb_weight * excess + options_.chamfer_weight * t.chamfer +
-            options_.laplacian_weight * t.laplacian + options_.edge_weight * t.edge +
-            options_.ssim_weight * missing_similarity(shown);
-  if (shape_is_free_ && options_.displacement_weight > 0) {
-    t.total = t.total + options_.displacement_weight * regularizer_.edge_length(vertices - rest_);
+  const Tensor excess = (shown.rgb - mse_of_psnr(options_.naturalness.psnr_floor)).clamp_min(0);
+  t.total = options_.naturalness.rgb_weight * excess +
+            options_.naturalness.chamfer_weight * t.chamfer +
+            options_.naturalness.laplacian_weight * t.laplacian +
+            options_.naturalness.edge_weight * t.edge +
+            options_.naturalness.ssim_weight * missing_similarity(shown);
+  if (shape_is_free_ && options_.naturalness.displacement_weight > 0) {
+    t.total = t.total +
+              options_.naturalness.displacement_weight * regularizer_.edge_length(vertices - rest_);
   }
-  if (options_.variation_weight > 0) {
+  if (options_.naturalness.variation_weight > 0) {
     const Tensor change = shown.pictures.narrow(1, 0, 3) - shown.clean.narrow(1, 0, 3);
-    t.total = t.total + options_.variation_weight * total_variation(change);
+    t.total = t.total + options_.naturalness.variation_weight * total_variation(change);
   }
   if (printable_.defined()) {
-    t.total = t.total + options_.printability_weight * non_printability(shown.colors, printable_);
+    t.total = t.total +
+              options_.naturalness.printability_weight * non_printability(shown.colors, printable_);
   }
   return t;
 }
 
-/// What the pictures' mean SSIM lacks to the floor. Every second window is enough for a mean.
+/// How far the mean SSIM of the pictures is below the floor. Every second window is enough for a
+/// mean.
 Tensor Naturalness::missing_similarity(const Rendering& shown) const {
-  if (options_.ssim_floor <= 0) return at::zeros({}, shown.pictures.options());
+  if (options_.naturalness.ssim_floor <= 0) return at::zeros({}, shown.pictures.options());
   constexpr int64_t kStride = 2;
-  const Tensor similarity =
-      structural_similarity(over_white(shown.pictures), over_white(shown.clean.detach()), kStride);
-  return (options_.ssim_floor - similarity.mean()).clamp_min(0);
+  const Tensor similarity = image::structural_similarity(over_white(shown.pictures),
+                                                         over_white(shown.clean.detach()), kStride);
+  return (options_.naturalness.ssim_floor - similarity.mean()).clamp_min(0);
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::attack

@@ -3,13 +3,10 @@
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/custom_function.h>
 
-#include <cmath>
-
-#include "blur_cpu.h"
 #include "place_math.h"
 #include "tt3d/device.h"
 
-namespace tt3d {
+namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
@@ -17,8 +14,8 @@ using torch::autograd::AutogradContext;
 using torch::autograd::Function;
 using torch::autograd::variable_list;
 
-/// Renderings whose pixels' channels lie side by side, each pixel `stride` numbers behind the last:
-/// a picture of four channels as it is, or the first four of a wider one.
+/// Renderings with channels last in memory. Consecutive pixels are `stride` numbers apart: four for
+/// a picture of four channels, more if they are the first four channels of a wider picture.
 struct PixelRows {
   explicit PixelRows(const Tensor& renderings) {
     const int64_t height = renderings.size(2), width = renderings.size(3);
@@ -34,7 +31,7 @@ struct PixelRows {
   int64_t stride;
 };
 
-/// [N,4,height,width], channels side by side.
+/// [N,4,height,width], channels last in memory.
 Tensor empty_renderings(int64_t count, int64_t height, int64_t width, const Tensor& like) {
   return at::empty({count, height, width, 4}, like.options()).permute({0, 3, 1, 2});
 }
@@ -109,46 +106,6 @@ struct OverWhite : public Function<OverWhite> {
   }
 };
 
-template <typename T>
-attack::BlurInput<T> blur_input(const Tensor& planes, const Tensor& taps) {
-  return {planes.const_data_ptr<T>(),      taps.const_data_ptr<T>(), taps.size(0) - 1,
-          planes.size(0) * planes.size(1), planes.size(2),           planes.size(3)};
-}
-
-/// taps [radius + 1]: half of the kernel.
-struct Blur : public Function<Blur> {
-  static Tensor forward(AutogradContext* ctx, const Tensor& pictures_in, const Tensor& taps) {
-    const Tensor pictures = pictures_in.contiguous();
-    Tensor out = at::empty_like(pictures);
-    AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "gaussian_blur", [&] {
-      attack::blur_cpu(blur_input<scalar_t>(pictures, taps), out.mutable_data_ptr<scalar_t>());
-    });
-    ctx->save_for_backward({taps});
-    return out;
-  }
-  static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
-    const Tensor taps = ctx->get_saved_variables()[0];
-    const Tensor grad = grads[0].contiguous(), out = at::empty_like(grad);
-    AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "gaussian_blur_backward", [&] {
-      attack::blur_backward_cpu(blur_input<scalar_t>(grad, taps), out.mutable_data_ptr<scalar_t>());
-    });
-    return {out, Tensor()};
-  }
-};
-
-/// The GPU's way: two convolutions, each of one axis.
-Tensor blur_of_convolutions(const Tensor& pictures, const Tensor& taps) {
-  const int64_t radius = taps.size(0) - 1, channels = pictures.size(1);
-  const Tensor kernel = at::cat({taps.narrow(0, 1, radius).flip(0), taps});
-  const Tensor padded = at::replication_pad2d(pictures, {radius, radius, radius, radius});
-  const auto along = [&](const Tensor& x, at::IntArrayRef shape) {
-    return at::conv2d(x, kernel.view(shape).repeat({channels, 1, 1, 1}), Tensor(),
-                      at::IntArrayRef{1, 1}, at::IntArrayRef{0, 0}, at::IntArrayRef{1, 1},
-                      channels);
-  };
-  return along(along(padded, {1, 1, 1, -1}), {1, 1, -1, 1});
-}
-
 void check_renderings(const Tensor& renderings) {
   TORCH_CHECK(renderings.dim() == 4 && renderings.size(1) == 4, "renderings must be [N,4,H,W]");
 }
@@ -174,13 +131,4 @@ Tensor over_white(const Tensor& renderings) {
   return OverWhite::apply(renderings);
 }
 
-Tensor gaussian_blur(const Tensor& pictures, double sigma) {
-  const auto radius = static_cast<int64_t>(std::ceil(2 * sigma));
-  const Tensor distance = at::arange(radius + 1, pictures.options());
-  Tensor taps = (-(distance.square()) / (2 * sigma * sigma)).exp();
-  taps = taps / (2 * taps.sum() - taps[0]);
-  if (!pictures.is_cpu()) return blur_of_convolutions(pictures, taps);
-  return Blur::apply(pictures, taps);
-}
-
-}  // namespace tt3d
+}  // namespace tt3d::attack

@@ -2,6 +2,7 @@
 
 #include "place_math.h"
 #include "tt3d/device.h"
+#include "tt3d/scene.h"
 
 namespace tt3d::attack {
 namespace {
@@ -20,14 +21,14 @@ TT3D_HD const auto& four_at(const T* numbers) {
   return *reinterpret_cast<const typename FourOf<T>::type*>(numbers);
 }
 
-/// A part of a row. Where its pixels lie is found in vectors of pixels, what lies there in vectors
-/// of channels.
+/// A run of pixels in a row. The positions are computed in vectors of pixels, the colours in
+/// vectors of channels.
 template <typename T>
 struct RowPart {
   static constexpr int32_t kCount = 64;
   T weight[4][kCount];
   int32_t row[kCount], column[kCount], whole[kCount];
-  T channels[4 * kCount];  ///< of each pixel
+  T channels[4 * kCount];  ///< of each pixel, channels last
 
   TT3D_HD void find(const Placement<T>& placement, int64_t n, int64_t y, int64_t x, int32_t count) {
     const Placement<T> p = placement;
@@ -45,7 +46,7 @@ struct RowPart {
     return {
         row[i], column[i], {weight[0][i], weight[1][i], weight[2][i], weight[3][i]}, whole[i] != 0};
   }
-  /// Where the first of pixel i's taps lies, as a number of an image.
+  /// Index of the first tap of pixel i in its image.
   [[nodiscard]] TT3D_HD int64_t first_tap(const Placement<T>& p, int32_t i) const {
     return (row[i] * p.width + column[i]) * p.stride;
   }
@@ -112,8 +113,8 @@ TT3D_HD void plain_row(const Body& shared, int64_t n, int64_t row) {
 
 }  // namespace
 
-// Pictures in parallel, the pixels of each in order, so that sums get the same bytes with any
-// number of threads. target_clones needs plain functions: one for each body.
+// Pictures run in parallel and the pixels of one picture in order, so the sums have the same bytes
+// with any number of threads. target_clones needs plain functions, so each body has one.
 #define TT3D_EACH_PIXEL(ROW, BODY)                                             \
   TT3D_CPU_LOOP static void row_of(const BODY& body, int64_t n, int64_t row) { \
     ROW(body, n, row);                                                         \

@@ -4,36 +4,38 @@
 #include <cstdint>
 
 #include "tt3d/kernel.h"
+#include "tt3d/scene.h"
 
-/// Bodies of the placement (a pixel of the transformed picture, looked up bilinearly in the
-/// rendering, over its background) and of a rendering over white.
+/// Kernel bodies. Placement: one pixel of the transformed picture, sampled bilinearly from the
+/// rendering and composited over its background. Over white: one pixel of a rendering.
 namespace tt3d::attack {
 
-/// Where a picture's pixels come from.
+/// Inputs of the placement.
 template <typename T>
 struct Placement {
-  const T* map;         ///< [N,6]: from the picture's to the rendering's coordinates, both [-1,1]
-  const T* background;  ///< [N,3,side,side], side being size or 1
+  const T* map;         ///< [N,6]: coordinates of the picture to coordinates of the rendering, both
+                        ///< [-1,1]
+  const T* background;  ///< [N,3,side,side], with side = size or 1
   int64_t side;
   int64_t height, width;  ///< of the rendering
-  int64_t stride;         ///< numbers from a pixel of the rendering to the next
-  int64_t size;           ///< of the picture, both ways
+  int64_t stride;         ///< distance of consecutive pixels of the rendering, in numbers
+  int64_t size;           ///< height and width of the picture
 
-  /// Channel c of picture n's background behind pixel `at`.
+  /// Channel c of the background of picture n at pixel `at`.
   TT3D_HD T behind(int64_t n, int64_t c, int64_t at) const {
     return background[(n * 3 + c) * side * side + (side == 1 ? 0 : at)];
   }
 };
 
-/// The four pixels around a place, from the top left one, and their weights.
+/// The four pixels around a position and their weights, starting at the top left.
 template <typename T>
 struct Taps {
   int32_t row, column;
   T weight[4];
-  bool whole;  ///< all four lie in the rendering
+  bool whole;  ///< all four are inside the rendering
 };
 
-/// floor, without the call that it is on old processors.
+/// floor, inlined: on old processors std::floor is a function call.
 template <typename T>
 TT3D_HD T lower(T x) {
   const auto whole = static_cast<T>(static_cast<int32_t>(x));
@@ -73,8 +75,8 @@ TT3D_HD void visit_taps(const Placement<T>& p, const Taps<T>& taps, const Visit&
   }
 }
 
-/// A pixel of pictures [N,3,size,size] from renderings [N,height,width,stride], of whose numbers
-/// the first four are the premultiplied colour and alpha.
+/// One pixel of pictures [N,3,size,size], from renderings [N,height,width,stride]. The first four
+/// numbers of a rendered pixel are its premultiplied colour and alpha.
 template <typename T>
 struct PlacePixel {
   const T* images;
@@ -103,7 +105,8 @@ struct PlacePixel {
   }
 };
 
-/// Adds a pixel's part of the renderings' gradient, which neighbours share.
+/// Adds the contribution of one pixel to the gradient of the renderings. Neighbouring pixels add to
+/// the same values.
 template <typename T>
 struct PlaceBackwardPixel {
   const T* grad_out;
@@ -134,7 +137,7 @@ struct PlaceBackwardPixel {
   }
 };
 
-/// A pixel of pictures [N,3,height,width]: renderings, as PlacePixel's, over white.
+/// One pixel of pictures [N,3,height,width]: renderings, in the layout of PlacePixel, over white.
 template <typename T>
 struct OverWhitePixel {
   const T* images;
@@ -170,7 +173,7 @@ struct OverWhiteBackwardPixel {
   }
 };
 
-/// Item i of all pictures' pixels, in row-major order, for the GPU.
+/// Pixel i of all pictures, in row-major order, for the GPU.
 template <typename Body>
 struct EachPixel {
   Body body;
@@ -180,7 +183,8 @@ struct EachPixel {
   }
 };
 
-/// All pixels of `pictures` pictures. Defined for the bodies above, of floats and doubles.
+/// Runs a body on all pixels of `pictures` pictures. Instantiated for the bodies above, in float
+/// and double.
 template <typename Body>
 void for_each_pixel(const Cpu&, int64_t pictures, const Body& body);
 

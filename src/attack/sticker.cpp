@@ -10,19 +10,20 @@
 #include <vector>
 
 #include "tt3d/raster.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
 
-/// What growing along the surface asks of the faces, on the host.
+/// The geometry of the faces, on the host, for growing along the surface.
 struct FaceTable {
   Tensor centres;     ///< [F,3] float64
   Tensor areas;       ///< [F] float64
   Tensor neighbours;  ///< [F,3] int32, 3 * face + edge, or -1
 
-  explicit FaceTable(const TriMesh& mesh) {
+  explicit FaceTable(const scene::TriMesh& mesh) {
     const Tensor faces = mesh.faces.cpu();
     const Tensor corners = mesh.vertices.detach()
                                .cpu()
@@ -33,7 +34,7 @@ struct FaceTable {
     const Tensor across = at::cross(corners.select(1, 1) - a, corners.select(1, 2) - a, 1);
     centres = corners.mean(1).contiguous();
     areas = across.norm(2, {1}).div(2).contiguous();
-    neighbours = edge_twins(faces).contiguous();
+    neighbours = raster::edge_twins(faces).contiguous();
   }
   [[nodiscard]] double distance(int64_t f, int64_t g) const {
     const auto *a = centres.const_data_ptr<double>() + 3 * f,
@@ -54,14 +55,16 @@ int64_t furthest_face(const FaceTable& table, double azimuth_deg, double elevati
 
 }  // namespace
 
-Tensor sticker_faces(const TriMesh& mesh, double area, double azimuth_deg, double elevation_deg) {
+Tensor sticker_faces(const scene::TriMesh& mesh, double area, double azimuth_deg,
+                     double elevation_deg) {
   const FaceTable table(mesh);
   const int64_t count = table.areas.size(0);
   const auto* areas = table.areas.const_data_ptr<double>();
   const auto* neighbours = table.neighbours.const_data_ptr<int32_t>();
   Tensor chosen = at::zeros({count}, at::kBool);
   auto* in = chosen.mutable_data_ptr<bool>();
-  // From face to face, the one nearest to the first joins next, until the area is there.
+  // Grow from face to face until the area is reached; the neighbour nearest to the first face is
+  // added next.
   using Entry = std::pair<double, int64_t>;
   std::priority_queue<Entry, std::vector<Entry>, std::greater<>> front;
   const int64_t first = furthest_face(table, azimuth_deg, elevation_deg);
@@ -81,11 +84,11 @@ Tensor sticker_faces(const TriMesh& mesh, double area, double azimuth_deg, doubl
   return chosen.to(mesh.faces.device());
 }
 
-Tensor masked_faces(const TextureMap& map, const Tensor& mask) {
+Tensor masked_faces(const scene::UvMap& map, const Tensor& mask) {
   const Tensor picture = mask.cpu().to(at::kFloat);
   const Tensor light =
       (picture.narrow(2, 0, 3).mean(2) >= 128).logical_and(picture.select(2, 3) >= 128);
-  const Tensor corners = map.uv_faces.cpu().flatten().to(at::kLong);
+  const Tensor corners = map.faces.cpu().flatten().to(at::kLong);
   const Tensor middle = map.uvs.cpu().index_select(0, corners).view({-1, 3, 2}).mean(1);
   const auto texel = [&](int64_t axis, int64_t size) {
     return (middle.select(1, axis) * static_cast<double>(size))
@@ -98,4 +101,4 @@ Tensor masked_faces(const TextureMap& map, const Tensor& mask) {
   return light.flatten().index_select(0, place).to(map.uvs.device());
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::attack

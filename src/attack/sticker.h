@@ -3,17 +3,18 @@
 #include <ATen/core/Tensor.h>
 
 #include "tt3d/appearance.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::attack {
 
-/// A round sticker: faces [F] (bool, on the mesh's device) that make up `area` of the surface (0 to
-/// 1), connected, nearest to the face furthest out towards (azimuth, elevation). Angles as those of
-/// views. On a mesh of several components it ends with the one that it sits on.
-[[nodiscard]] at::Tensor sticker_faces(const TriMesh& mesh, double area, double azimuth_deg,
+/// A round sticker: a connected set of faces [F] (bool, on the device of the mesh) with the share
+/// `area` (0 to 1) of the surface. It grows from the outermost face in the direction (azimuth,
+/// elevation), in degrees as for views. It does not leave its component of the mesh.
+[[nodiscard]] at::Tensor sticker_faces(const scene::TriMesh& mesh, double area, double azimuth_deg,
                                        double elevation_deg);
 
-/// The faces whose middle a drawn mask shows light, [F] bool: mask [H,W,4] uint8 lies over the map
-/// as a texture does; light is a mean of red, green and blue of at least 128, and opaque.
-[[nodiscard]] at::Tensor masked_faces(const TextureMap& map, const at::Tensor& mask);
+/// The faces whose centre is light in a mask, [F] bool. mask [H,W,4] uint8 covers the map like a
+/// texture. A texel is light if its alpha and its mean of red, green and blue are at least 128.
+[[nodiscard]] at::Tensor masked_faces(const scene::UvMap& map, const at::Tensor& mask);
 
-}  // namespace tt3d
+}  // namespace tt3d::attack

@@ -2,16 +2,17 @@
 
 #include <string>
 
-#include "linear.h"
 #include "tt3d/capture.h"
+#include "tt3d/linear.h"
+#include "tt3d/scene.h"
 
-namespace tt3d {
+namespace tt3d::capture {
 
-/// Refuses poses that are not finite, singular, mirrored or not rigid (InputError starting with
-/// `where`); removes rounding errors from the rotation.
-void check_pose(linear::Mat4& pose, const std::string& where);
+/// Throws InputError (its message starts with `where`) for a pose that is not finite, singular,
+/// mirrored or not rigid. Removes rounding errors from the rotation.
+void check_pose(scene::linear::Mat4& pose, const std::string& where);
 
-/// Refuses sizes and intrinsics that are not positive and finite.
-void check_intrinsics(const Camera& camera, const std::string& where);
+/// Throws InputError for sizes and intrinsics that are not positive and finite.
+void check_intrinsics(const scene::Camera& camera, const std::string& where);
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -4,10 +4,11 @@
 #include <iterator>
 
 #include "camera.h"
+#include "tt3d/linear.h"
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace fs = std::filesystem;
-using namespace linear;
+using namespace scene::linear;
 
 namespace {
 
@@ -68,7 +69,7 @@ Mat4 opengl_pose(const ColmapImage& image) {
   return frame(right, -1.0 * down, -1.0 * forward, position);
 }
 
-/// COLMAP's convention is masks/NAME.png with the image's own extension kept.
+/// In COLMAP's convention a mask is masks/NAME.png, where NAME includes the image's own extension.
 fs::path find_mask(const fs::path& folder, const std::string& name) {
   const fs::path masks = folder / "masks";
   return first_file(
@@ -124,18 +125,17 @@ fs::path find_colmap_model(const fs::path& folder) {
 RawCapture read_colmap(const fs::path& folder) {
   const fs::path model_folder = find_colmap_model(folder);
   if (model_folder.empty()) {
-    throw InputError(folder, "holds no COLMAP model; expected sparse/0/cameras.bin or .txt");
+    throw InputError(folder, "contains no COLMAP model; expected sparse/0/cameras.bin or .txt");
   }
   const bool binary = fs::exists(model_folder / "cameras.bin");
   ColmapModel model = binary ? read_colmap_binary(model_folder) : read_colmap_text(model_folder);
   if (model.images.empty()) {
     throw InputError(model_folder / (binary ? "images.bin" : "images.txt"),
-                     "holds no images; expected at least one registered view");
+                     "contains no images; expected at least one registered view");
   }
   std::sort(model.images.begin(), model.images.end(),
             [](const ColmapImage& a, const ColmapImage& b) { return a.name < b.name; });
   RawCapture capture;
-  capture.format = "colmap";
   for (const ColmapImage& image : model.images) {
     capture.train.push_back(make_view(folder, model, image));
   }
@@ -148,4 +148,4 @@ RawCapture read_colmap(const fs::path& folder) {
   return capture;
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -5,29 +5,30 @@
 #include <vector>
 
 #include "raw_view.h"
+#include "tt3d/linear.h"
 
-/// The parts of a COLMAP sparse model that a capture needs, whichever encoding they came from
+/// The parts of a COLMAP sparse model that a capture needs, independent of the encoding
 /// (https://colmap.github.io/format.html).
-namespace tt3d {
+namespace tt3d::capture {
 
 struct ColmapCamera {
-  int model = 0;  ///< COLMAP's model number, see colmap_model_name
+  int model = 0;  ///< COLMAP's model number, see colmap_lens
   int64_t width = 0, height = 0;
   std::vector<double> parameters;
 };
 
 struct ColmapImage {
-  std::array<double, 4> rotation{};  ///< world to camera, quaternion w x y z
-  linear::Vec3 translation{};        ///< world to camera
+  std::array<double, 4> rotation{};   ///< world to camera, quaternion w x y z
+  scene::linear::Vec3 translation{};  ///< world to camera
   int64_t camera = 0;
   std::string name;   ///< relative to the images folder
-  std::string where;  ///< file and record, for messages
+  std::string where;  ///< file and record, for error messages
 };
 
 struct ColmapModel {
   std::map<int64_t, ColmapCamera> cameras;
   std::vector<ColmapImage> images;
-  std::vector<linear::Vec3> points;
+  std::vector<scene::linear::Vec3> points;
 };
 
 /// A lens model: its name in text files and its number of parameters.
@@ -44,4 +45,4 @@ struct ColmapLens {
 [[nodiscard]] ColmapModel read_colmap_binary(const std::filesystem::path& folder);
 [[nodiscard]] ColmapModel read_colmap_text(const std::filesystem::path& folder);
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

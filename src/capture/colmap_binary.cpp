@@ -2,15 +2,16 @@
 #include <cstring>
 
 #include "colmap.h"
+#include "tt3d/linear.h"
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace fs = std::filesystem;
 
 namespace {
 
 static_assert(std::endian::native == std::endian::little, "COLMAP files are little-endian");
 
-/// Takes values off the front of a file's bytes; every read is checked.
+/// Reads values from the front of a file's bytes; every read is checked.
 class ByteReader {
  public:
   explicit ByteReader(const fs::path& path) : path_(path), bytes_(read_file(path)) {
@@ -26,7 +27,7 @@ class ByteReader {
     return value;
   }
 
-  /// Number of records to come, each at least `record` bytes.
+  /// Reads the number of records that follow, each of at least `record` bytes.
   uint64_t take_count(size_t record) {
     const auto count = take<uint64_t>();
     if (count > (bytes_.size() - position_) / record) fail();
@@ -104,7 +105,7 @@ void read_points(const fs::path& path, ColmapModel& model) {
   const uint64_t count = reader.take_count(43);
   for (uint64_t i = 0; i < count; ++i) {
     reader.skip(sizeof(uint64_t));
-    linear::Vec3 point;
+    scene::linear::Vec3 point;
     for (double& p : point) p = reader.take<double>();
     model.points.push_back(point);
     reader.skip(3 + sizeof(double));
@@ -123,4 +124,4 @@ ColmapModel read_colmap_binary(const fs::path& folder) {
   return model;
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

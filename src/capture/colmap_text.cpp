@@ -1,13 +1,14 @@
 #include <sstream>
 
 #include "colmap.h"
+#include "tt3d/linear.h"
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace fs = std::filesystem;
 
 namespace {
 
-/// Hands out the lines of a text file that are not comments, with their numbers.
+/// Returns the lines of a text file that are not comments, with their line numbers.
 class LineReader {
  public:
   explicit LineReader(const fs::path& path) : path_(path), stream_(read_file(path)) {}
@@ -34,7 +35,7 @@ class LineReader {
   long number_ = 0;
 };
 
-/// Reads a number as strtod does: "nan" is a number here and is refused by the pose check.
+/// Reads a number like strtod: "nan" is a number here; the pose check rejects it.
 bool take_number(std::istringstream& words, double& value) {
   std::string word;
   if (!(words >> word)) return false;
@@ -66,7 +67,7 @@ void read_cameras(const fs::path& path, ColmapModel& model) {
   }
 }
 
-/// Every image has two lines; the second, of its points, may be blank and is not needed.
+/// Every image has two lines. The second one lists its points, may be blank, and is not needed.
 void read_images(const fs::path& path, ColmapModel& model) {
   LineReader reader(path);
   while (reader.next()) {
@@ -91,7 +92,7 @@ void read_points(const fs::path& path, ColmapModel& model) {
     if (reader.blank()) continue;
     std::istringstream words = reader.words();
     int64_t id = 0;
-    linear::Vec3 point;
+    scene::linear::Vec3 point;
     bool good = static_cast<bool>(words >> id);
     for (double& p : point) good = good && take_number(words, p);
     if (!good) reader.fail("POINT3D_ID X Y Z R G B ERROR TRACK[]");
@@ -109,4 +110,4 @@ ColmapModel read_colmap_text(const fs::path& folder) {
   return model;
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -8,32 +8,31 @@
 #include "normalize.h"
 #include "raw_view.h"
 #include "resample.h"
+#include "tt3d/image.h"
+#include "tt3d/scene.h"
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace fs = std::filesystem;
 
 namespace {
 
-/// Views are decoded by this many threads; each holds one full-size image.
+/// Number of threads that decode views; each holds one full-size image.
 constexpr int kLoaderThreads = 2;
 constexpr int kTestEvery = 8;
 
-std::string detect_format(const fs::path& folder) {
-  if (fs::exists(folder / "transforms_train.json")) return "nerf-synthetic";
-  if (fs::exists(folder / "transforms.json")) return "nerfstudio";
-  if (!find_colmap_model(folder).empty()) return "colmap";
+CaptureFormat detect_format(const fs::path& folder) {
+  if (fs::exists(folder / "transforms_train.json")) return CaptureFormat::kNerfSynthetic;
+  if (fs::exists(folder / "transforms.json")) return CaptureFormat::kNerfstudio;
+  if (!find_colmap_model(folder).empty()) return CaptureFormat::kColmap;
   throw InputError(folder,
-                   "holds no capture; expected transforms_train.json (NeRF-synthetic), "
+                   "contains no capture; expected transforms_train.json (NeRF-synthetic), "
                    "transforms.json (nerfstudio) or a COLMAP model in sparse/0");
 }
 
-RawCapture read_cameras(const fs::path& folder, const std::string& wanted) {
-  const std::string format = wanted == "auto" ? detect_format(folder) : wanted;
-  if (format == "nerf-synthetic") return read_nerf_synthetic(folder);
-  if (format == "nerfstudio") return read_nerfstudio(folder);
-  if (format == "colmap") return read_colmap(folder);
-  throw InputError("capture format '" + format +
-                   "': expected auto, nerf-synthetic, nerfstudio or colmap");
+RawCapture read_cameras(const fs::path& folder, CaptureFormat format) {
+  if (format == CaptureFormat::kNerfSynthetic) return read_nerf_synthetic(folder);
+  if (format == CaptureFormat::kNerfstudio) return read_nerfstudio(folder);
+  return read_colmap(folder);
 }
 
 void keep_evenly(std::vector<RawView>& views, int count) {
@@ -44,8 +43,8 @@ void keep_evenly(std::vector<RawView>& views, int count) {
   views = std::move(kept);
 }
 
-/// Fills in what the camera file left out and checks the image size against it.
-void complete_camera(const RawView& raw, int width, int height, Camera& camera) {
+/// Fills in what the camera file omits, and checks the image size against the file.
+void complete_camera(const RawView& raw, int width, int height, scene::Camera& camera) {
   const bool sized = camera.width > 0 || camera.height > 0;
   if (sized && (camera.width != width || camera.height != height)) {
     throw InputError(raw.image, "is " + std::to_string(width) + "x" + std::to_string(height) +
@@ -67,7 +66,7 @@ void complete_camera(const RawView& raw, int width, int height, Camera& camera) 
 
 /// Multiplies the alpha of an image by the grey value of its mask file.
 void apply_mask(at::Tensor& rgba, const RawView& raw) {
-  const at::Tensor mask = read_image(raw.mask);
+  const at::Tensor mask = image::read_image(raw.mask);
   if (mask.size(0) != rgba.size(0) || mask.size(1) != rgba.size(1)) {
     throw InputError(raw.mask, "is " + std::to_string(mask.size(1)) + "x" +
                                    std::to_string(mask.size(0)) +
@@ -84,11 +83,11 @@ void apply_mask(at::Tensor& rgba, const RawView& raw) {
 bool load_view(const RawView& raw, int max_size, View& view) {
   view.name = raw.name;
   view.camera = raw.camera;
-  view.rgba = read_image(raw.image);
+  view.rgba = image::read_image(raw.image);
   complete_camera(raw, static_cast<int>(view.rgba.size(1)), static_cast<int>(view.rgba.size(0)),
                   view.camera);
   if (!raw.mask.empty()) apply_mask(view.rgba, raw);
-  const bool has_mask = !raw.mask.empty() || image_has_alpha(raw.image);
+  const bool has_mask = !raw.mask.empty() || image::image_has_alpha(raw.image);
   if (!raw.distortion.none()) {
     view.rgba = undistort(view.rgba, view.camera, raw.distortion, has_mask);
   }
@@ -96,8 +95,8 @@ bool load_view(const RawView& raw, int max_size, View& view) {
   return has_mask;
 }
 
-/// Loads all views on a few threads, reporting from the caller's; returns which have masks. The
-/// error of the first bad view in order is the one thrown.
+/// Loads all views on a few threads, reports progress from the calling thread, and returns which
+/// views have masks. If several views fail, it throws the error of the first one in order.
 class Loader {
  public:
   Loader(const std::vector<RawView>& raw, int max_size, Progress& progress)
@@ -149,7 +148,8 @@ class Loader {
   std::atomic<bool> stop_ = false;
 };
 
-/// All views have a mask or none has: a mixture would train on backgrounds as if they were object.
+/// Either all views have a mask or none has: in a mixture, the training would treat backgrounds as
+/// object.
 bool agree_on_masks(const std::vector<RawView>& raw, const std::vector<View>& views,
                     const std::vector<char>& masks) {
   bool transparent = false;
@@ -205,12 +205,14 @@ Capture load_capture(const CaptureOptions& options, Progress& progress) {
   if (!is_file && !fs::is_directory(folder)) {
     throw InputError(folder, "no such folder; expected a capture");
   }
-  RawCapture raw = read_cameras(folder, options.format);
+  const CaptureFormat format =
+      options.format == CaptureFormat::kAuto ? detect_format(folder) : options.format;
+  RawCapture raw = read_cameras(folder, format);
   keep_evenly(raw.train, options.max_train_views);
   keep_evenly(raw.test, options.max_test_views);
   if (raw.train.empty()) throw InputError(folder, "the capture has no training views");
 
-  // One pass over both splits, so that masks are judged over all images.
+  // Both splits together, so that the mask check covers all images.
   const size_t train_count = raw.train.size();
   std::vector<RawView> all = std::move(raw.train);
   all.insert(all.end(), raw.test.begin(), raw.test.end());
@@ -220,7 +222,7 @@ Capture load_capture(const CaptureOptions& options, Progress& progress) {
   progress.end();
 
   Capture capture;
-  capture.format = raw.format;
+  capture.format = format;
   capture.files = raw.files;
   capture.has_masks = agree_on_masks(all, views, loader.masks());
   const auto middle = views.begin() + static_cast<std::ptrdiff_t>(train_count);
@@ -231,4 +233,4 @@ Capture load_capture(const CaptureOptions& options, Progress& progress) {
   return capture;
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -2,15 +2,17 @@
 
 #include <algorithm>
 
+#include "tt3d/linear.h"
+#include "tt3d/scene.h"
 #include "visual_hull.h"
 
-namespace tt3d {
+namespace tt3d::capture {
 
-using namespace linear;
+using namespace scene::linear;
 
 namespace {
 
-/// The object's ball takes this share of the unit ball; the rest is margin.
+/// Radius of the object's ball after normalisation; the rest of the unit ball is margin.
 constexpr double kFill = 0.95;
 /// Search around the first guess, in multiples of the largest silhouette's radius.
 constexpr double kSearch = 1.5;
@@ -19,8 +21,8 @@ struct Ray {
   Vec3 origin, direction;
 };
 
-/// Point with the least sum of squared distances to the rays' lines; false if they are (nearly)
-/// parallel.
+/// The point with the least sum of squared distances to the rays' lines; false if the rays are
+/// (nearly) parallel.
 bool nearest_point(const std::vector<Ray>& rays, Vec3& point) {
   Mat4 a{};
   Vec3 b{};
@@ -50,8 +52,8 @@ Vec3 common_point(const std::vector<Ray>& rays, const std::filesystem::path& pat
   Vec3 point{};
   if (rays.size() < 2 || !nearest_point(rays, point)) {
     throw InputError(path,
-                     "the cameras do not tell where the object is: fewer than two views, or "
-                     "all look the same way; expected views from around the object");
+                     "the cameras do not determine where the object is: fewer than two views, or "
+                     "all in the same direction; expected views from around the object");
   }
   return point;
 }
@@ -76,8 +78,8 @@ Ball locate_by_masks(const Capture& capture, const std::filesystem::path& path) 
   const Ball ball = carve_hull(silhouettes, search);
   if (ball.radius <= 0) {
     throw InputError(path,
-                     "the object never enters the view of all cameras: their masks meet "
-                     "nowhere in space; check that cameras and masks belong together");
+                     "the object never enters the view of all cameras: their masks do not "
+                     "intersect in space; check that cameras and masks belong together");
   }
   return ball;
 }
@@ -89,8 +91,9 @@ double median(std::vector<double> values, double share = 0.5) {
   return *at;
 }
 
-/// Without masks the object is taken to be what all cameras look at: the ball that fills the
-/// view of the middle camera, or the sparse points within it if there are enough.
+/// Without masks the object is assumed to be where all cameras look. Its ball fills the view of the
+/// middle camera, or encloses nearly all sparse points within that ball, if there are
+/// enough.
 Ball locate_by_cameras(const Capture& capture, const std::vector<Vec3>& points,
                        const std::filesystem::path& path) {
   std::vector<Ray> rays;
@@ -102,7 +105,7 @@ Ball locate_by_cameras(const Capture& capture, const std::vector<Vec3>& points,
   for (size_t i = 0; i < rays.size(); ++i) {
     const Vec3 offset = ball.centre - rays[i].origin;
     if (dot(offset, rays[i].direction) <= 0) continue;
-    const Camera& camera = capture.train[i].camera;
+    const scene::Camera& camera = capture.train[i].camera;
     const double tangent =
         std::min(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy);
     reaches.push_back(length(offset) * std::sin(std::atan(tangent)));
@@ -110,7 +113,7 @@ Ball locate_by_cameras(const Capture& capture, const std::vector<Vec3>& points,
   if (2 * reaches.size() < rays.size()) {
     throw InputError(path,
                      "the object never enters the view: most cameras look away from the "
-                     "point their axes meet in; check the camera convention (OpenGL: the "
+                     "point where their axes meet; check the camera convention (OpenGL: the "
                      "camera looks along -z)");
   }
   ball.radius = median(reaches);
@@ -124,13 +127,6 @@ Ball locate_by_cameras(const Capture& capture, const std::vector<Vec3>& points,
   return ball;
 }
 
-void move_views(const Normalization& normalization, std::vector<View>& views) {
-  for (View& view : views) {
-    set_column(view.camera.camera_to_world, 3,
-               normalization.scale * (view.camera.position() - normalization.centre));
-  }
-}
-
 }  // namespace
 
 void normalize_capture(Capture& capture, const std::vector<Vec3>& points,
@@ -138,12 +134,13 @@ void normalize_capture(Capture& capture, const std::vector<Vec3>& points,
   const Ball ball =
       capture.has_masks ? locate_by_masks(capture, path) : locate_by_cameras(capture, points, path);
   if (!(ball.radius > 0) || !std::isfinite(ball.radius)) {
-    throw InputError(path, "the object has no size: all cameras stand in one point");
+    throw InputError(path, "the object has no size: all cameras are at the same point");
   }
   capture.normalization = {kFill / ball.radius, ball.centre};
   capture.object_radius = kFill;
-  move_views(capture.normalization, capture.train);
-  move_views(capture.normalization, capture.test);
+  for (std::vector<View>* views : {&capture.train, &capture.test}) {
+    for (View& view : *views) view.camera = capture.normalization.to_inside(view.camera);
+  }
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -1,92 +1,88 @@
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <set>
 
 #include "camera.h"
-#include "json_file.h"
 #include "raw_view.h"
+#include "tt3d/json.h"
+#include "tt3d/linear.h"
+#include "tt3d/scene.h"
 
-// transforms.json and its kin: NeRF-synthetic (Mildenhall et al. 2020) has one horizontal field of
-// view for all frames and splits by file; nerfstudio and instant-ngp give intrinsics in pixels,
-// for all frames or for each, with lens distortion.
+// transforms.json and similar files. NeRF-synthetic (Mildenhall et al. 2020) has one horizontal
+// field of view for all frames and one file per split. nerfstudio and instant-ngp have intrinsics
+// in pixels, for all frames or per frame, with lens distortion.
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace fs = std::filesystem;
-using nlohmann::json;
 
 namespace {
 
-/// Refuses lens models that are not a pinhole with k1 k2 p1 p2.
-void check_lens(const json& object, const std::string& where) {
+/// Throws InputError for lens models other than a pinhole with k1 k2 p1 p2.
+void check_lens(const JsonValue& object) {
   static const std::set<std::string> known = {"",       "PINHOLE",       "SIMPLE_PINHOLE",
                                               "OPENCV", "SIMPLE_RADIAL", "RADIAL"};
-  const std::string model = json_text(object, "camera_model", where);
-  const auto fisheye = object.find("is_fisheye");
-  const bool marked = fisheye != object.end() && fisheye->is_boolean() && fisheye->get<bool>();
+  const auto model = object.get<std::string>("camera_model", "");
+  const bool marked = object.raw().value("is_fisheye", nlohmann::json()) == nlohmann::json(true);
   if (!known.contains(model) || marked) {
-    throw InputError(where + ".camera_model: '" + (marked ? "is_fisheye" : model) +
+    throw InputError(object.where() + ".camera_model: '" + (marked ? "is_fisheye" : model) +
                      "' is not supported; undistort the images to PINHOLE first, for example "
                      "with colmap image_undistorter");
   }
   for (const char* key : {"k3", "k4", "k5", "k6"}) {
-    if (json_number(object, key, 0, where) != 0) {
-      throw InputError(where + "." + key +
-                       ": only k1, k2, p1 and p2 are supported; undistort "
-                       "the images first");
+    if (object.get(key, 0.0) != 0) {
+      object.at(key).fail("only k1, k2, p1 and p2 are supported; undistort the images first");
     }
   }
 }
 
-int image_side(const json& object, const char* key, int fallback, const std::string& where) {
-  const double value = json_number(object, key, fallback, where);
+int image_side(const JsonValue& object, const char* key, int fallback) {
+  const double value = object.get(key, static_cast<double>(fallback));
   if (value < 0 || value > 1e6 || value != std::floor(value)) {
-    throw InputError(where + "." + key + ": expected a whole number of pixels");
+    object.at(key).fail("expected an integer number of pixels");
   }
   return static_cast<int>(value);
 }
 
-/// Overrides what `view` inherited with the intrinsics that `object` has.
-void read_intrinsics(const json& object, const std::string& where, RawView& view) {
-  check_lens(object, where);
-  Camera& camera = view.camera;
-  camera.width = image_side(object, "w", camera.width, where);
-  camera.height = image_side(object, "h", camera.height, where);
-  view.angle_x = json_number(object, "camera_angle_x", view.angle_x, where);
-  view.angle_y = json_number(object, "camera_angle_y", view.angle_y, where);
-  camera.fx = json_number(object, "fl_x", camera.fx, where);
-  camera.fy = json_number(object, "fl_y", object.contains("fl_x") ? camera.fx : camera.fy, where);
-  camera.cx = json_number(object, "cx", camera.cx, where);
-  camera.cy = json_number(object, "cy", camera.cy, where);
-  view.distortion.k1 = json_number(object, "k1", view.distortion.k1, where);
-  view.distortion.k2 = json_number(object, "k2", view.distortion.k2, where);
-  view.distortion.p1 = json_number(object, "p1", view.distortion.p1, where);
-  view.distortion.p2 = json_number(object, "p2", view.distortion.p2, where);
+/// Overrides the shared intrinsics in `view` with those in `object`.
+void read_intrinsics(const JsonValue& object, RawView& view) {
+  check_lens(object);
+  scene::Camera& camera = view.camera;
+  camera.width = image_side(object, "w", camera.width);
+  camera.height = image_side(object, "h", camera.height);
+  view.angle_x = object.get("camera_angle_x", view.angle_x);
+  view.angle_y = object.get("camera_angle_y", view.angle_y);
+  const bool own_focal_length = object.raw().contains("fl_x");
+  camera.fx = object.get("fl_x", camera.fx);
+  camera.fy = object.get("fl_y", own_focal_length ? camera.fx : camera.fy);
+  camera.cx = object.get("cx", camera.cx);
+  camera.cy = object.get("cy", camera.cy);
+  view.distortion.k1 = object.get("k1", view.distortion.k1);
+  view.distortion.k2 = object.get("k2", view.distortion.k2);
+  view.distortion.p1 = object.get("p1", view.distortion.p1);
+  view.distortion.p2 = object.get("p2", view.distortion.p2);
 }
 
-linear::Mat4 read_pose(const json& frame, const std::string& where) {
-  const std::string key = where + ".transform_matrix";
-  const auto rows = frame.find("transform_matrix");
+scene::linear::Mat4 read_pose(const JsonValue& frame) {
+  const std::string key = frame.where() + ".transform_matrix";
   const auto wrong = [&] { return InputError(key + ": expected 4 rows of 4 numbers"); };
-  if (rows == frame.end() || !rows->is_array() || rows->size() < 3 || rows->size() > 4) {
+  if (!frame.has("transform_matrix") || !frame.at("transform_matrix").raw().is_array()) {
     throw wrong();
   }
-  linear::Mat4 pose{};
+  const JsonValue rows = frame.at("transform_matrix");
+  if (rows.size() < 3 || rows.size() > 4) throw wrong();
+  scene::linear::Mat4 pose{};
   pose[15] = 1;
-  for (size_t r = 0; r < rows->size(); ++r) {
-    const json& row = (*rows)[r];
-    if (!row.is_array() || row.size() != 4) throw wrong();
-    for (size_t c = 0; c < 4; ++c) {
-      if (!row[c].is_number())
-        throw InputError(key + ": row " + std::to_string(r) +
-                         " holds something that is not a number");
-      pose[4 * r + c] = row[c].get<double>();
-    }
+  for (size_t r = 0; r < rows.size(); ++r) {
+    const JsonValue row = rows.at(r);
+    if (!row.raw().is_array() || row.size() != 4) throw wrong();
+    for (size_t c = 0; c < 4; ++c) pose[4 * r + c] = row.at(c).as<double>();
   }
   check_pose(pose, key);
   return pose;
 }
 
-/// NeRF-synthetic leaves the extension out.
+/// NeRF-synthetic omits the extension.
 fs::path find_image(const fs::path& path) {
   std::vector<fs::path> candidates = {path};
   for (const char* extension : {".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG"}) {
@@ -95,10 +91,9 @@ fs::path find_image(const fs::path& path) {
   return first_file(candidates);
 }
 
-/// mask_path, else IMAGE_mask.png beside the image, else masks/IMAGE.png in the capture.
-fs::path find_mask(const fs::path& folder, const json& frame, const fs::path& image,
-                   const std::string& where) {
-  const std::string given = json_text(frame, "mask_path", where);
+/// mask_path, else IMAGE_mask.png next to the image, else masks/IMAGE.png in the capture.
+fs::path find_mask(const fs::path& folder, const JsonValue& frame, const fs::path& image) {
+  const auto given = frame.get<std::string>("mask_path", "");
   if (given.empty()) {
     const std::string stem = image.stem().string();
     return first_file(
@@ -106,55 +101,55 @@ fs::path find_mask(const fs::path& folder, const json& frame, const fs::path& im
          folder / "masks" / image.lexically_relative(folder).replace_extension(".png"),
          folder / "masks" / (stem + ".png")});
   }
-  const fs::path mask = path_inside(folder, given, where + ".mask_path");
-  if (!fs::is_regular_file(mask)) throw InputError(mask, "no such mask, named by " + where);
+  const fs::path mask = path_inside(folder, given, frame.where() + ".mask_path");
+  if (!fs::is_regular_file(mask)) {
+    throw InputError(mask, "no such mask, named by " + frame.where());
+  }
   return mask;
 }
 
-RawView read_frame(const fs::path& folder, const json& frame, RawView view,
-                   const std::string& where) {
-  view.where = where;
-  if (!frame.is_object()) throw InputError(where + ": expected an object");
-  const std::string given = json_text(frame, "file_path", where);
-  const fs::path path = path_inside(folder, given, where + ".file_path");
+RawView read_frame(const fs::path& folder, const JsonValue& frame, RawView view) {
+  view.where = frame.where();
+  const auto given = frame.get<std::string>("file_path", "");
+  const fs::path path = path_inside(folder, given, view.where + ".file_path");
   view.image = find_image(path);
-  if (view.image.empty()) throw InputError(path, "no such image, named by " + where);
+  if (view.image.empty()) throw InputError(path, "no such image, named by " + view.where);
   view.name = view.image.lexically_relative(folder).generic_string();
-  view.mask = find_mask(folder, frame, view.image, where);
-  read_intrinsics(frame, where, view);
+  view.mask = find_mask(folder, frame, view.image);
+  read_intrinsics(frame, view);
   if (view.camera.fx == 0 && view.angle_x == 0) {
-    throw InputError(where + ": no focal length; expected fl_x or camera_angle_x");
+    frame.fail("no focal length; expected fl_x or camera_angle_x");
   }
-  view.camera.camera_to_world = read_pose(frame, where);
+  view.camera.camera_to_world = read_pose(frame);
   return view;
 }
 
-std::vector<RawView> read_frames(const fs::path& folder, const fs::path& file, const json& root) {
-  const auto frames = root.is_object() ? root.find("frames") : root.end();
-  if (!root.is_object() || frames == root.end() || !frames->is_array()) {
-    throw InputError(file, "expected an object with an array 'frames'");
+std::vector<RawView> read_frames(const fs::path& folder, const JsonValue& root) {
+  if (!root.raw().is_object() || !root.has("frames") || !root.at("frames").raw().is_array()) {
+    root.fail("expected an object with an array 'frames'");
   }
-  if (frames->empty()) throw InputError(file, "'frames' is empty; expected at least one view");
+  const JsonValue frames = root.at("frames");
+  if (frames.size() == 0) root.fail("'frames' is empty; expected at least one view");
   RawView shared;
   shared.camera.cx = shared.camera.cy = std::numeric_limits<double>::quiet_NaN();
-  read_intrinsics(root, file.string() + ": global", shared);
+  read_intrinsics(root, shared);
   std::vector<RawView> views;
-  for (size_t i = 0; i < frames->size(); ++i) {
-    const std::string where = file.string() + ": frames[" + std::to_string(i) + "]";
-    views.push_back(read_frame(folder, (*frames)[i], shared, where));
+  for (size_t i = 0; i < frames.size(); ++i) {
+    views.push_back(read_frame(folder, frames.at(i), shared));
   }
   return views;
 }
 
-/// Texts of an optional array of file names, normalised.
-std::set<std::string> read_names(const json& root, const char* key, const fs::path& file) {
+std::vector<RawView> read_frames(const fs::path& folder, const fs::path& file) {
+  const nlohmann::json document = read_json(file);
+  return read_frames(folder, JsonValue(document, file));
+}
+
+/// Strings of an optional array of file names, normalised.
+std::set<std::string> read_names(const JsonValue& root, const char* key) {
   std::set<std::string> names;
-  const auto found = root.find(key);
-  if (found == root.end()) return names;
-  if (!found->is_array()) throw InputError(file, std::string(key) + ": expected an array");
-  for (const json& name : *found) {
-    if (!name.is_string()) throw InputError(file, std::string(key) + ": expected texts");
-    names.insert(fs::path(name.get<std::string>()).lexically_normal().generic_string());
+  for (const auto& name : root.get<std::vector<std::string>>(key, {})) {
+    names.insert(fs::path(name).lexically_normal().generic_string());
   }
   return names;
 }
@@ -167,13 +162,12 @@ void add_file(RawCapture& capture, const fs::path& file) {
 
 RawCapture read_nerf_synthetic(const fs::path& folder) {
   RawCapture capture;
-  capture.format = "nerf-synthetic";
   const fs::path train = folder / "transforms_train.json";
-  capture.train = read_frames(folder, train, read_json_file(train));
+  capture.train = read_frames(folder, train);
   add_file(capture, train);
   const fs::path test = folder / "transforms_test.json";
   if (fs::exists(test)) {
-    capture.test = read_frames(folder, test, read_json_file(test));
+    capture.test = read_frames(folder, test);
     add_file(capture, test);
   }
   split_off_test(capture);
@@ -182,12 +176,12 @@ RawCapture read_nerf_synthetic(const fs::path& folder) {
 
 RawCapture read_nerfstudio(const fs::path& folder) {
   RawCapture capture;
-  capture.format = "nerfstudio";
   const fs::path file = folder / "transforms.json";
-  const json root = read_json_file(file);
-  capture.train = read_frames(folder, file, root);
+  const nlohmann::json document = read_json(file);
+  const JsonValue root(document, file);
+  capture.train = read_frames(folder, root);
   add_file(capture, file);
-  const std::set<std::string> test_names = read_names(root, "test_filenames", file);
+  const std::set<std::string> test_names = read_names(root, "test_filenames");
   const auto is_test = [&](const RawView& view) { return test_names.contains(view.name); };
   std::copy_if(capture.train.begin(), capture.train.end(), std::back_inserter(capture.test),
                is_test);
@@ -196,4 +190,4 @@ RawCapture read_nerfstudio(const fs::path& folder) {
   return capture;
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -1,4 +1,5 @@
 #include "visual_hull.h"
+#include "tt3d/linear.h"
 
 #include <ATen/ATen.h>
 #include <ATen/Parallel.h>
@@ -6,22 +7,23 @@
 #include <algorithm>
 #include <limits>
 
-namespace tt3d {
+namespace tt3d::capture {
 
-using namespace linear;
+using namespace scene::linear;
 
 namespace {
 
 constexpr int kCells = 256;                ///< cells along the longer side of a silhouette
-constexpr uint8_t kObjectAlpha = 64;       ///< alpha from which a pixel counts as object
-constexpr int kVoxels = 64;                ///< carving grid, each way
-constexpr double kToleratedMisses = 0.02;  ///< share of views that may be wrong about a voxel
+constexpr uint8_t kObjectAlpha = 64;       ///< least alpha of a pixel that counts as object
+constexpr int kVoxels = 64;                ///< side of the carving grid
+constexpr double kToleratedMisses = 0.02;  ///< fraction of views that may be wrong about a voxel
 
 struct Bounds {
   Vec3 low, high;
 };
 
-/// Keeps a voxel if nearly all views that see it show object there, and half of all see it.
+/// Keeps a voxel if at least half of all views see it, and nearly all of these show the object
+/// there.
 bool keep_voxel(const std::vector<Silhouette>& silhouettes, const Vec3& point, double radius) {
   const double views = static_cast<double>(silhouettes.size());
   int seen = 0;
@@ -47,7 +49,7 @@ Vec3 voxel_centre(const Bounds& bounds, int64_t index) {
   return centre;
 }
 
-/// Centres of the voxels that survive.
+/// Centres of the voxels that carving keeps.
 std::vector<Vec3> carve(const std::vector<Silhouette>& silhouettes, const Bounds& bounds) {
   constexpr int64_t kTotal = int64_t{kVoxels} * kVoxels * kVoxels;
   const double radius = 0.5 * length(voxel_size(bounds));
@@ -164,7 +166,7 @@ Ball carve_hull(const std::vector<Silhouette>& silhouettes, const Ball& search) 
   for (int pass = 0; pass < 2; ++pass) {
     kept = carve(silhouettes, bounds);
     if (kept.empty()) return {};
-    // The next pass looks a voxel further; the last one ends at the voxels' faces.
+    // The next pass searches one voxel further; the last one ends at the voxels' faces.
     const Vec3 margin = (pass == 0 ? 1.0 : 0.5) * voxel_size(bounds);
     const double half_diagonal = 0.5 * length(voxel_size(bounds));
     bounds = bounds_of(kept, margin);
@@ -178,4 +180,4 @@ Ball carve_hull(const std::vector<Silhouette>& silhouettes, const Ball& search) 
   return {};
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::capture

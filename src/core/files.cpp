@@ -19,7 +19,7 @@ namespace {
                       "; free some space or choose a folder that can be written");
 }
 
-/// Makes sure that content has reached the disk before the rename does.
+/// Flushes the content to the disk before the rename.
 void sync_path(const fs::path& path) {
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
   if (fd < 0) return;
@@ -28,7 +28,8 @@ void sync_path(const fs::path& path) {
   if (failed != 0 && (errno == EIO || errno == ENOSPC)) throw_write_error(path, "fsync failed");
 }
 
-/// The temporary sits beside its target, named by process: two runs never share one.
+/// A temporary file in the target's folder. Its name contains the process id, so two runs never
+/// share one.
 fs::path temporary_beside(const fs::path& path) {
   return path.parent_path() /
          ("." + path.filename().string() + ".tmp" + std::to_string(::getpid()));

@@ -28,7 +28,7 @@ struct Descriptor {
   }
 };
 
-/// Hands the complete lines of `output` from `begin` on to the watch.
+/// Passes the complete lines of `output` from `begin` on to the callback.
 void pass_lines(const std::string& output, size_t& begin, const ProcessWatch& watch) {
   if (!watch.on_line) return;
   for (size_t end; (end = output.find('\n', begin)) != std::string::npos; begin = end + 1) {
@@ -36,7 +36,7 @@ void pass_lines(const std::string& output, size_t& begin, const ProcessWatch& wa
   }
 }
 
-/// Reads what the child prints until it closes its end or the deadline passes.
+/// Reads the child's output until the child closes it or the deadline passes.
 bool drain(int fd, double deadline, std::string& output, const ProcessWatch& watch) {
   char buffer[4096];
   size_t passed = 0;
@@ -55,8 +55,8 @@ bool drain(int fd, double deadline, std::string& output, const ProcessWatch& wat
   }
 }
 
-/// Waits for the child's end; false where the deadline passes first. Closing its output is not
-/// ending: a child may do that and hang.
+/// Waits for the child's end; false if the deadline passes first. A child may close its output and
+/// still hang, so end of output does not mean end of process.
 bool ended(pid_t pid, double deadline, int& status, const ProcessWatch& watch) {
   constexpr auto kPause = std::chrono::milliseconds(5);
   for (double asked = now_seconds(); ::waitpid(pid, &status, WNOHANG) == 0;) {
@@ -80,7 +80,7 @@ pid_t spawn(const std::vector<std::string>& command, int output_fd) {
   posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
   posix_spawn_file_actions_adddup2(&actions, output_fd, 1);
   posix_spawn_file_actions_adddup2(&actions, output_fd, 2);
-  // A process group of its own, so that what it starts ends with it.
+  // A process group of its own, so that the child's own children end with it.
   posix_spawnattr_t attributes;
   posix_spawnattr_init(&attributes);
   posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETPGROUP);
@@ -130,7 +130,7 @@ double now_seconds() noexcept {
 }
 
 int64_t peak_memory_bytes() noexcept {
-  // VmHWM obeys clear_refs, unlike getrusage; fall back where /proc is absent.
+  // clear_refs resets VmHWM, but not getrusage's figure. The fallback is for systems without /proc.
   std::ifstream status("/proc/self/status");
   for (std::string line; std::getline(status, line);) {
     if (line.starts_with("VmHWM:")) return std::strtoll(line.c_str() + 6, nullptr, 10) * 1024;

@@ -6,7 +6,7 @@
 namespace tt3d {
 namespace {
 
-/// Finaliser of splitmix64: spreads seed and stream over the key.
+/// Finaliser of splitmix64: mixes seed and stream name into the key.
 uint64_t mix(uint64_t x) {
   x ^= x >> 30;
   x *= 0xBF58476D1CE4E5B9ULL;

@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "tt3d/core.h"
+#include "tt3d/enums.h"
 
 namespace tt3d {
 namespace {
@@ -37,6 +38,13 @@ std::string nearest_name(std::string_view word, std::span<const std::string> can
     }
   }
   return best;
+}
+
+std::string expected_one_of(const std::string& word, const std::vector<std::string>& names) {
+  std::string text = "expected one of ";
+  for (const std::string& name : names) text += (&name == &names.front() ? "" : ", ") + name;
+  const std::string near = nearest_name(word, names);
+  return near.empty() ? text : text + "; did you mean '" + near + "'?";
 }
 
 std::string base64(std::string_view bytes) {

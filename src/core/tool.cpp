@@ -53,7 +53,7 @@ std::string last_line(const std::string& text) {
 
 namespace {
 
-/// Sorts a tool's lines: progress and notes are passed on, the rest is its output.
+/// Separates a tool's lines: progress and notes go to Progress, the others are its output.
 class Listener {
  public:
   Listener(const std::string& stage, Progress& progress) : stage_(stage), progress_(progress) {}

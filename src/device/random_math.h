@@ -3,7 +3,7 @@
 #include "tt3d/kernel.h"
 #include "tt3d/philox.h"
 
-/// Bodies of the random tensors: one block of the stream, or one number.
+/// Bodies of the random tensors: one block or one number of the stream.
 namespace tt3d::device {
 
 /// Elements 4 i to 4 i + 3 from block i.
@@ -33,8 +33,8 @@ struct RangeBlock {
   }
 };
 
-/// Elements 2 i and 2 i + 1 from block i. A sum of four uniforms is near enough to a normal, and
-/// needs no logarithm.
+/// Elements 2 i and 2 i + 1 from block i. A sum of four uniform numbers approximates a normal one
+/// without a logarithm.
 struct NoiseBlock {
   RandomKey key;
   float* out;

@@ -12,7 +12,7 @@ at::Tensor empty_on(at::IntArrayRef shape, at::Device device) {
   return at::empty(shape, at::TensorOptions().dtype(at::kFloat).device(device));
 }
 
-/// Whole blocks, in vectors.
+/// Whole blocks, vectorised.
 TT3D_CPU_LOOP void make_noise(const device::NoiseBlock& body, int64_t begin, int64_t end) {
   const device::NoiseBlock noise = body;
 #pragma GCC ivdep
@@ -21,7 +21,7 @@ TT3D_CPU_LOOP void make_noise(const device::NoiseBlock& body, int64_t begin, int
 
 }  // namespace
 
-/// Found by for_each_index_on in the place of the general loop.
+/// Overload resolution in for_each_index_on prefers this to the general loop.
 void for_each_index(const Cpu&, int64_t blocks, const device::NoiseBlock& body) {
   constexpr int64_t kChunk = 4096;
   const int64_t whole = body.count / 2;

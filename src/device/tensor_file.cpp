@@ -40,14 +40,14 @@ at::ScalarType dtype_of(const std::string& name, const std::filesystem::path& pa
   throw InputError(path, "unknown dtype '" + name + "', expected F32, F64, I32, I64 or U8");
 }
 
-/// One entry of the header checked against the data it points into, copied out.
+/// Checks an entry of the header against the data section and copies its tensor out.
 at::Tensor read_entry(const std::string& name, const json& entry, std::string_view data,
                       const std::filesystem::path& path) {
   const at::ScalarType dtype = dtype_of(entry.at("dtype").get<std::string>(), path);
   const auto shape = entry.at("shape").get<std::vector<int64_t>>();
   const auto offsets = entry.at("data_offsets").get<std::vector<uint64_t>>();
   uint64_t bytes = at::elementSize(dtype);
-  uint64_t extent = 1;  // the product without zeros: strides are made of it
+  uint64_t extent = 1;  // product of the non-zero sizes; the strides are computed from it
   for (const int64_t n : shape) {
     if (n < 0 || static_cast<uint64_t>(n) > kMaxElements / extent ||
         (n > 0 && bytes > data.size() / static_cast<uint64_t>(n))) {
@@ -70,7 +70,7 @@ at::Tensor read_entry(const std::string& name, const json& entry, std::string_vi
 at::Tensor TensorFile::get(const std::string& name, at::IntArrayRef shape,
                            at::ScalarType dtype) const {
   const auto found = tensors.find(name);
-  if (found == tensors.end()) throw InputError(path, "holds no tensor '" + name + "'");
+  if (found == tensors.end()) throw InputError(path, "has no tensor '" + name + "'");
   const at::Tensor& t = found->second;
   const bool fits =
       std::equal(t.sizes().begin(), t.sizes().end(), shape.begin(), shape.end(),

@@ -3,19 +3,22 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 
+#include "tt3d/asset.h"
 #include "tt3d/evaluate.h"
+#include "tt3d/scene.h"
 #include "tt3d/tool.h"
 
-namespace tt3d {
+namespace tt3d::evaluate {
 
-/// Sums of the measures between adversarial and clean pictures, over frame and box.
-class Naturalness {
+/// Compares adversarial and clean pictures, over the whole frame and over the box around the
+/// object.
+class PictureComparison {
  public:
-  Naturalness(const EvaluateOptions& options, const TexturedMesh& asset);
-  /// One view: pictures [H,W,3] in [0,1].
-  void add(const at::Tensor& adversarial, const at::Tensor& clean, const Camera& camera);
-  /// Means, and LPIPS where asked for, into the record.
-  void finish(EvalRecord& record, Progress& progress) const;
+  PictureComparison(const EvaluateOptions& options, const asset::TexturedMesh& asset);
+  /// Adds one view: pictures [H,W,3] in [0,1].
+  void add(const at::Tensor& adversarial, const at::Tensor& clean, const scene::Camera& camera);
+  /// Means over the views, with LPIPS if the options ask for it.
+  [[nodiscard]] record::NaturalnessRecord finish(Progress& progress) const;
 
  private:
   const EvaluateOptions& options_;
@@ -26,4 +29,4 @@ class Naturalness {
   nlohmann::json pairs_ = nlohmann::json::array();
 };
 
-}  // namespace tt3d
+}  // namespace tt3d::evaluate

@@ -3,21 +3,24 @@
 
 #include <algorithm>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
-#include <sstream>
+#include <optional>
 
+#include "tt3d/csv.h"
 #include "tt3d/evaluate.h"
+#include "tt3d/image.h"
 #include "tt3d/tool.h"
 #include "tt3d/version.h"
 
-namespace tt3d {
+namespace tt3d::evaluate {
 namespace fs = std::filesystem;
 using at::Tensor;
 using nlohmann::json;
 
 namespace {
 
-/// A line of the backgrounds table.
+/// A row of the table of backgrounds.
 struct Labelled {
   double begin = 0, end = 0;
   std::string label;
@@ -26,19 +29,13 @@ struct Labelled {
 std::vector<Labelled> read_backgrounds(const fs::path& path) {
   std::vector<Labelled> table;
   if (path.empty()) return table;
-  std::istringstream stream(read_file(path));
-  long line = 0;
-  for (std::string text; std::getline(stream, text);) {
-    ++line;
-    if (!text.empty() && text.back() == '\r') text.pop_back();
-    if (text.empty() || text.starts_with("#") || (line == 1 && text.starts_with("start"))) continue;
-    Labelled row;
-    std::istringstream words(text);
-    char first = 0, second = 0;
-    words >> row.begin >> first >> row.end >> second;
-    std::getline(words >> std::ws, row.label);
-    if (!words || first != ',' || second != ',' || row.label.empty() || !(row.end > row.begin)) {
-      throw InputError(path, line, "expected start_seconds,end_seconds,label with start < end");
+  const CsvTable csv = parse_csv(read_file(path), path, {"start_seconds", "end_seconds", "label"});
+  for (size_t i = 0; i < csv.rows.size(); ++i) {
+    Labelled row = {csv.number(i, 0), csv.number(i, 1), csv.rows[i][2]};
+    row.label.erase(0, row.label.find_first_not_of(' '));
+    if (row.label.empty() || !(row.end > row.begin)) {
+      throw InputError(path, csv.lines[i],
+                       "expected start_seconds,end_seconds,label with start < end");
     }
     table.push_back(row);
   }
@@ -52,7 +49,7 @@ std::string label_at(const std::vector<Labelled>& table, double seconds) {
   return "";
 }
 
-/// Runs the extraction; its JSON.
+/// Runs the extraction and returns its JSON.
 json extract(const VideoOptions& o, const ExchangeFolder& folder, Progress& progress) {
   const json job = {{"video", fs::absolute(o.video).string()},
                     {"frames", o.frames},
@@ -65,21 +62,21 @@ json extract(const VideoOptions& o, const ExchangeFolder& folder, Progress& prog
   write_file_atomic(folder / "job.json", job.dump());
   (void)run_tool("video_frames.py", {(folder / "job.json").string()}, "video", o.time_limit_seconds,
                  progress);
-  return json::parse(read_file(folder / "frames.json"));
+  return read_json(folder / "frames.json");
 }
 
-/// ASR over the answers of some frames.
-json share(const VictimRecord& victim, const std::vector<size_t>& frames, int64_t target) {
+/// Success in some frames.
+record::FrameShare share(const std::vector<record::ViewAnswer>& answers,
+                         const std::vector<size_t>& frames, int64_t target) {
   int64_t hits = 0;
-  for (const size_t i : frames) hits += victim.answers[i].top1 == target;
+  for (const size_t i : frames) hits += answers[i].top1 == target;
   const auto n = static_cast<int64_t>(frames.size());
-  const Interval interval = wilson_interval(hits, n);
-  return {{"frames", n},
-          {"asr", n == 0 ? 0 : static_cast<double>(hits) / static_cast<double>(n)},
-          {"asr_ci95", {interval.low, interval.high}}};
+  return {n, n == 0 ? 0 : static_cast<double>(hits) / static_cast<double>(n),
+          record::wilson_interval(hits, n)};
 }
 
-/// Frames that become pictures: as many as a page can show, evenly.
+/// Indices of the frames that are saved as pictures: evenly spaced, at most as many as a page can
+/// show.
 std::vector<size_t> strip_frames(size_t count) {
   constexpr size_t kStrip = 60;
   std::vector<size_t> chosen;
@@ -89,145 +86,146 @@ std::vector<size_t> strip_frames(size_t count) {
   return chosen;
 }
 
-/// Writes the pictures into `folder`; a line for each with its answers.
-json write_strip(const VideoRecord& r, const fs::path& folder) {
+/// Saves some frames as pictures in `folder`; returns them with the answers.
+std::vector<record::StripFrame> write_strip(const ScoredVideo& video, const fs::path& folder) {
   make_folder(folder);
-  json strip = json::array();
-  for (const size_t i : strip_frames(r.frames.size())) {
-    const VideoFrame& f = r.frames[i];
-    const std::string name = fmt::format("{:05}.jpg", i);
-    write_file_atomic(folder / name, encode_jpeg(f.picture));
-    json answers = json::array();
-    for (const VictimRecord& v : r.victims) {
-      const ViewAnswer& a = v.answers[i];
-      answers.push_back({{"victim", v.name},
-                         {"answer", a.top1_name},
-                         {"probability", a.p_top1},
-                         {"is_target", a.top1 == r.target.index}});
+  std::vector<record::StripFrame> strip;
+  for (const size_t i : strip_frames(video.frames.size())) {
+    const VideoFrame& f = video.frames[i];
+    record::StripFrame frame = {fmt::format("{:05}.jpg", i), f.seconds, f.background, {}};
+    write_file_atomic(folder / frame.picture, image::encode_jpeg(f.picture));
+    for (size_t m = 0; m < video.answers.size(); ++m) {
+      const record::ViewAnswer& a = video.answers[m][i];
+      frame.answers.push_back({video.record.victims[m].name, a.top1_name, a.p_top1,
+                               a.top1 == video.record.target.index});
     }
-    strip.push_back({{"picture", name},
-                     {"seconds", f.seconds},
-                     {"background", f.background},
-                     {"answers", answers}});
+    strip.push_back(std::move(frame));
   }
   return strip;
 }
 
-}  // namespace
-
-VideoRecord score_video(const VideoOptions& options, Progress& progress) {
-  at::NoGradGuard guard;
-  if (options.victims.empty()) throw InputError("--victims: name at least one model");
-  if (!fs::is_regular_file(options.video)) throw InputError(options.video, "no such video file");
-  const std::vector<Labelled> table = read_backgrounds(options.backgrounds);
-  VideoRecord record;
-  record.options = options;
-  std::vector<std::shared_ptr<Classifier>> models;
-  for (const std::string& name : options.victims) {
-    models.push_back(Classifier::load(name, {}, &progress));
-    VictimRecord victim;
-    victim.name = models.back()->card().name;
-    victim.sha256 = models.back()->card().sha256;
-    record.victims.push_back(victim);
-    record.target = find_class(options.target, models.back()->card());
-    if (!options.true_class.empty()) {
-      record.true_class = find_class(options.true_class, models.back()->card());
-    }
-  }
-  const ExchangeFolder folder;
-  const json found = extract(options, folder, progress);
-  record.video_sha256 = sha256_file(options.video);
-  record.width = found.at("width");
-  record.height = found.at("height");
-  record.duration_seconds = found.at("duration");
-  for (const json& f : found.at("frames")) {
-    VideoFrame frame;
-    frame.index = f.at("index");
-    frame.seconds = f.at("seconds");
-    const auto box = f.at("box").get<std::vector<int64_t>>();
-    frame.box = {box.at(0), box.at(1), box.at(2), box.at(3)};
-    frame.background = label_at(table, frame.seconds);
-    frame.picture = read_image(f.at("file").get<std::string>()).narrow(2, 0, 3).contiguous();
-    record.frames.push_back(frame);
-  }
-  progress.begin("classify", static_cast<int64_t>(record.frames.size()), 0);
-  for (size_t i = 0; i < record.frames.size(); ++i) {
-    const Tensor picture =
-        (record.frames[i].picture.to(at::kFloat) / 255).permute({2, 0, 1}).unsqueeze(0);
-    for (size_t m = 0; m < models.size(); ++m) {
-      const ModelCard& card = models[m]->card();
-      answer(*models[m], picture.to(options.device), {}, find_class(options.target, card).index,
-             options.true_class.empty() ? -1 : find_class(options.true_class, card).index,
-             record.victims[m].answers);
-    }
-    progress.update(static_cast<int64_t>(i + 1), {});
-    progress.check();
-  }
-  progress.end();
-  for (VictimRecord& v : record.victims) summarize(v, record.target.index, -1, false);
-  return record;
-}
-
-std::string video_json(const VideoRecord& r) {
-  std::map<std::string, std::vector<size_t>> groups;
-  std::vector<size_t> all;
-  for (size_t i = 0; i < r.frames.size(); ++i) {
-    all.push_back(i);
-    if (!r.options.backgrounds.empty()) groups[r.frames[i].background].push_back(i);
-  }
-  json victims = json::array();
-  for (const VictimRecord& v : r.victims) {
-    json one = share(v, all, r.target.index);
-    one["name"] = v.name;
-    one["sha256"] = v.sha256;
-    one["mean_target_probability"] = v.mean_target_probability;
-    one["backgrounds"] = json::object();
-    for (const auto& [label, frames] : groups) {
-      one["backgrounds"][label] = share(v, frames, r.target.index);
-    }
-    victims.push_back(one);
-  }
-  const json j = {{"video", r.options.video.string()},
-                  {"video_sha256", r.video_sha256},
-                  {"width", r.width},
-                  {"height", r.height},
-                  {"duration_seconds", r.duration_seconds},
-                  {"target", {{"index", r.target.index}, {"name", r.target.name}}},
-                  {"frames", r.frames.size()},
-                  {"victims", victims},
-                  {"tt3d_version", kVersion}};
-  return j.dump(1) + "\n";
-}
-
-std::string video_csv(const VideoRecord& r) {
-  const auto quoted = [](const std::string& text) {
-    std::string out = "\"";
-    for (const char c : text) out += c == '"' ? std::string("\"\"") : std::string(1, c);
-    return out + "\"";
-  };
+std::string frames_csv(const ScoredVideo& video) {
   std::string text =
-      "victim,frame,seconds,background,left,top,right,bottom,top1_index,top1_name,p_top1,p_target,"
-      "p_true\n";
-  for (const VictimRecord& v : r.victims) {
-    for (size_t i = 0; i < r.frames.size(); ++i) {
-      const VideoFrame& f = r.frames[i];
-      const ViewAnswer& a = v.answers[i];
-      text +=
-          fmt::format("{},{},{:.3f},{},{},{},{},{},{},{},{:.6f},{:.6f},{}\n", quoted(v.name),
-                      f.index, f.seconds, quoted(f.background), f.box.left, f.box.top, f.box.right,
-                      f.box.bottom, a.top1, quoted(a.top1_name), a.p_top1, a.p_target,
-                      r.true_class.index >= 0 ? fmt::format("{:.6f}", a.p_true) : "");
+      csv_line({"victim", "frame", "seconds", "background", "left", "top", "right", "bottom",
+                "top1_index", "top1_name", "p_top1", "p_target", "p_true"});
+  for (size_t m = 0; m < video.answers.size(); ++m) {
+    for (size_t i = 0; i < video.frames.size(); ++i) {
+      const VideoFrame& f = video.frames[i];
+      const record::ViewAnswer& a = video.answers[m][i];
+      text += csv_line({video.record.victims[m].name, std::to_string(f.index),
+                        fmt::format("{:.3f}", f.seconds), f.background, std::to_string(f.box.left),
+                        std::to_string(f.box.top), std::to_string(f.box.right),
+                        std::to_string(f.box.bottom), std::to_string(a.top1), a.top1_name,
+                        fmt::format("{:.6f}", a.p_top1), fmt::format("{:.6f}", a.p_target),
+                        a.p_true ? fmt::format("{:.6f}", *a.p_true) : ""});
     }
   }
   return text;
 }
 
-void write_video_record(const VideoRecord& record, const fs::path& json_path) {
-  fs::path beside = json_path;
-  write_file_atomic(beside.replace_extension(".csv"), video_csv(record));
-  json j = json::parse(video_json(record));
-  j["strip"] = write_strip(record, beside.replace_extension(".frames"));
-  write_file_atomic(json_path, j.dump(1) + "\n");
+/// The frames that the extraction returned.
+std::vector<VideoFrame> read_frames(const JsonValue& found, const std::vector<Labelled>& table) {
+  std::vector<VideoFrame> frames;
+  const JsonValue list = found.at("frames");
+  for (size_t i = 0; i < list.size(); ++i) {
+    const JsonValue f = list.at(i);
+    VideoFrame frame;
+    frame.index = f.at("index").as<int64_t>();
+    frame.seconds = f.at("seconds").as<double>();
+    const auto box = f.at("box").as<std::array<int64_t, 4>>();
+    frame.box = {box[0], box[1], box[2], box[3]};
+    frame.background = label_at(table, frame.seconds);
+    frame.picture = image::read_image(f.at("file").as<std::string>()).narrow(2, 0, 3).contiguous();
+    frames.push_back(frame);
+  }
+  return frames;
 }
 
-}  // namespace tt3d
+/// Figures of one victim: over all frames and for each background label.
+record::VideoVictim summary_of(const model::ModelCard& card,
+                               const std::vector<record::ViewAnswer>& answers,
+                               const std::vector<VideoFrame>& frames, int64_t target,
+                               bool by_background) {
+  std::map<std::string, std::vector<size_t>> groups;
+  std::vector<size_t> all;
+  double probability = 0;
+  for (size_t i = 0; i < frames.size(); ++i) {
+    all.push_back(i);
+    probability += answers[i].p_target;
+    if (by_background) groups[frames[i].background].push_back(i);
+  }
+  record::VideoVictim victim = {card.name,
+                                card.sha256,
+                                share(answers, all, target),
+                                probability / static_cast<double>(frames.size()),
+                                {}};
+  for (const auto& [label, members] : groups) {
+    victim.backgrounds[label] = share(answers, members, target);
+  }
+  return victim;
+}
+
+/// Answers of a victim for all frames. `true_class`: its index in the labels of this victim.
+std::vector<record::ViewAnswer> answers_of(const model::Classifier& model,
+                                           const std::vector<VideoFrame>& frames, int64_t target,
+                                           std::optional<int64_t> true_class, at::Device device,
+                                           Progress& progress) {
+  std::vector<record::ViewAnswer> answers;
+  progress.begin("classify", static_cast<int64_t>(frames.size()), 0);
+  for (const VideoFrame& frame : frames) {
+    const Tensor picture =
+        (frame.picture.to(at::kFloat) / 255).permute({2, 0, 1}).unsqueeze(0).to(device);
+    answer(model, picture, {}, target, true_class, answers);
+    progress.update(static_cast<int64_t>(answers.size()), {});
+    progress.check();
+  }
+  progress.end();
+  return answers;
+}
+
+}  // namespace
+
+ScoredVideo score_video(const VideoOptions& options, Progress& progress) {
+  at::NoGradGuard guard;
+  if (options.victims.empty()) throw InputError("--victims: name at least one model");
+  if (!fs::is_regular_file(options.video)) throw InputError(options.video, "no such video file");
+  const std::vector<Labelled> table = read_backgrounds(options.backgrounds);
+  std::vector<std::shared_ptr<model::Classifier>> models;
+  for (const std::string& name : options.victims) {
+    models.push_back(model::Classifier::load(name, {}, &progress));
+    (void)model::find_class(options.target, models.back()->card());
+  }
+  const ExchangeFolder folder;
+  const json document = extract(options, folder, progress);
+  const JsonValue found(document, folder / "frames.json");
+  ScoredVideo video;
+  video.record.video = options.video.string();
+  video.record.video_sha256 = sha256_file(options.video);
+  video.record.width = found.at("width").as<int64_t>();
+  video.record.height = found.at("height").as<int64_t>();
+  video.record.duration_seconds = found.at("duration").as<double>();
+  video.record.tt3d_version = kVersion;
+  video.frames = read_frames(found, table);
+  video.record.frames = static_cast<int64_t>(video.frames.size());
+  for (const auto& model : models) {
+    const model::ModelCard& card = model->card();
+    video.record.target = model::find_class(options.target, card);
+    std::optional<int64_t> true_class;
+    if (!options.true_class.empty()) true_class = model::find_class(options.true_class, card).index;
+    const int64_t target = video.record.target.index;
+    video.answers.push_back(
+        answers_of(*model, video.frames, target, true_class, options.device, progress));
+    video.record.victims.push_back(
+        summary_of(card, video.answers.back(), video.frames, target, !options.backgrounds.empty()));
+  }
+  return video;
+}
+
+void save(ScoredVideo& video, const fs::path& json_path) {
+  fs::path beside = json_path;
+  write_file_atomic(beside.replace_extension(".csv"), frames_csv(video));
+  video.record.strip = write_strip(video, beside.replace_extension(".frames"));
+  write_json(json_path, to_json(video.record));
+}
+
+}  // namespace tt3d::evaluate

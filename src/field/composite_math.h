@@ -8,7 +8,7 @@
 /// Bodies of volume rendering: one ray (Max, "Optical models for direct volume rendering", 1995).
 namespace tt3d::field {
 
-/// A ray is opaque beyond this transmittance.
+/// A ray is opaque below this transmittance.
 inline constexpr double kOpaque = 1e-4;
 
 /// out[4] = premultiplied colour and alpha of samples [begin,end); colors [3,S].
@@ -33,7 +33,7 @@ TT3D_HD void composite_ray_backward(const T* densities, const T* colors, const T
                                     T* grad_densities, T* grad_colors) {
   T total[4];
   composite_ray(densities, colors, steps, begin, end, samples, total);
-  T behind = 0;  // gradient-weighted remainder: sum over j > i
+  T behind = 0;  // gradient-weighted sum over j > i
   for (int c = 0; c < 4; ++c) behind += grad[c] * total[c];
   T transmittance = 1;
   for (int64_t i = begin; i < end && transmittance > T(kOpaque); ++i) {

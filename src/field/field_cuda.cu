@@ -1,11 +1,10 @@
-#include "adam_math.h"
 #include "composite_math.h"
 #include "hash_math.h"
 #include "march_math.h"
 #include "rays_math.h"
 #include "tt3d/cuda.h"
 
-// The field's bodies that the GPU runs an item a thread.
+// Bodies of the field that run on the GPU with one thread per item.
 namespace tt3d {
 
 #define TT3D_INSTANTIATE(T)                                                                  \
@@ -33,6 +32,5 @@ template void for_each_index(const Cuda&, int64_t, const field::RepeatDirection&
 template void for_each_index(const Cuda&, int64_t, const field::DrawRay&);
 template void for_each_index(const Cuda&, int64_t, const field::RowRay&);
 template void for_each_index(const Cuda&, int64_t, const field::CellPoint&);
-template void for_each_index(const Cuda&, int64_t, const field::AdamEntry&);
 
 }  // namespace tt3d

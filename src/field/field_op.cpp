@@ -11,9 +11,9 @@
 #include "tt3d/field.h"
 #include "tt3d/gpu_options.h"
 
-// With half_mlp_op.cpp the only file of the room's kernels with torch: checks, allocation,
-// autograd, choice of the device.
-namespace tt3d {
+// Checks, allocation, autograd and choice of the device. Among the room's kernels only this file
+// and half_mlp_op.cpp include torch.
+namespace tt3d::field {
 namespace {
 
 using at::Tensor;
@@ -44,7 +44,7 @@ std::vector<field::HashLevel> levels_of(const HashGridShape& shape) {
   return levels;
 }
 
-/// As a kernel takes them.
+/// The grid's levels as a kernel argument.
 field::HashLevels kernel_levels(const HashGridShape& shape) {
   const auto list = levels_of(shape);
   field::HashLevels levels = {};
@@ -54,15 +54,15 @@ field::HashLevels kernel_levels(const HashGridShape& shape) {
 }
 
 struct HashEncode : public Function<HashEncode> {
-  /// `points`: rows of the points themselves before those of the encoding, 3 or 0. `moving`: the
-  /// points will be asked for their gradient.
+  /// `points`: number of output rows before the encoding that hold the points themselves, 3 or 0.
+  /// `moving`: the points require a gradient.
   static Tensor forward(AutogradContext* ctx, const Tensor& x_in, const Tensor& table,
                         const HashGridShape& shape, int64_t points, bool moving) {
     const Tensor x = x_in.contiguous();
     const int64_t count = x.size(0);
     Tensor out = at::empty({points + shape.levels * shape.features, count}, table.options());
     if (points > 0) out.narrow(0, 0, points).copy_(x.t());
-    Tensor slopes;  // the GPU needs none
+    Tensor slopes;  // the GPU does not need them
     if (moving && !table.is_cuda()) {
       slopes = at::empty({shape.levels * shape.features, 3, count}, table.options());
     }
@@ -92,7 +92,7 @@ struct HashEncode : public Function<HashEncode> {
       const auto* points = x.const_data_ptr<scalar_t>();
       const auto* g = grad.const_data_ptr<scalar_t>() + grad_points.numel();
       if (ctx->needs_input_grad(1)) {
-        // The CPU clears a level where it goes on to add to it.
+        // The CPU clears each level just before it adds to it.
         grad_table = table.is_cuda() ? at::zeros_like(table) : at::empty_like(table);
         on_device_of(table, [&](const auto& on) {
           field::hash_encode_backward(on, points, g, grad_table.mutable_data_ptr<scalar_t>(),
@@ -204,7 +204,7 @@ Tensor coarse_occupancy(const Tensor& occupied) {
   return out;
 }
 
-/// The GPU's layers in float32 are matrix products; autograd walks them back.
+/// The float32 MLP of the GPU: one matrix product per layer; autograd differentiates them.
 Tensor mlp_of_products(const Tensor& x, const std::vector<Tensor>& weights) {
   Tensor y = x;
   for (size_t k = 0; k < weights.size(); ++k) {
@@ -300,21 +300,4 @@ std::pair<Tensor, Tensor> visible_samples(const Tensor& densities, const Tensor&
   return {kept, begin};
 }
 
-void Adam::step(const Tensor& parameter, const Tensor& gradient, const Tensor& moment1,
-                const Tensor& moment2, double rate, int64_t iteration) const {
-  const auto t = static_cast<double>(iteration);
-  const auto correction =
-      static_cast<float>(rate * std::sqrt(1 - std::pow(beta2, t)) / (1 - std::pow(beta1, t)));
-  check_same_device("Adam", {parameter, gradient, moment1, moment2});
-  const field::AdamEntry body = {parameter.mutable_data_ptr<float>(),
-                                 gradient.const_data_ptr<float>(),
-                                 moment1.mutable_data_ptr<float>(),
-                                 moment2.mutable_data_ptr<float>(),
-                                 static_cast<float>(beta1),
-                                 static_cast<float>(beta2),
-                                 static_cast<float>(epsilon * std::sqrt(1 - std::pow(beta2, t))),
-                                 correction};
-  for_each_index_on(parameter, parameter.numel(), body);
-}
-
-}  // namespace tt3d
+}  // namespace tt3d::field

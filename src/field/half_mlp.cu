@@ -3,8 +3,8 @@
 #include "half_mlp_math.h"
 #include "tt3d/cuda.h"
 
-// The networks in half precision on tensor cores, a block of threads a team. A warp's lanes hold
-// tiles as the instructions mma.m16n8k16 and ldmatrix lay them out (PTX ISA, "Matrix fragments for
+// The MLPs in half precision on tensor cores, one team per block of threads. A warp's lanes hold
+// tiles in the layout of the instructions mma.m16n8k16 and ldmatrix (PTX ISA, "Matrix fragments for
 // mma.m16n8k16 with floating point type").
 namespace tt3d::field {
 namespace {
@@ -13,7 +13,7 @@ constexpr int kWarp = 32;
 
 __device__ int lane() { return static_cast<int>(threadIdx.x) % kWarp; }
 
-/// Row and column of register r's number h in a lane's factors, and of number e of its sums.
+/// Row and column of number h of register r in a lane's factors.
 __device__ int row_of(int r) { return lane() / 4 + 8 * (r % 2); }
 __device__ int column_of(int r, int h) { return lane() % 4 * 2 + h + 8 * (r / 2); }
 
@@ -22,7 +22,8 @@ __device__ uint32_t pack(float low, float high) {
   return reinterpret_cast<const uint32_t&>(both);
 }
 
-/// Four tiles of 8 x 8, each lane giving the place of one row: tile lane / 8, row lane % 8.
+/// Loads four tiles of 8 x 8. Each lane gives the address of one row: row lane % 8 of tile lane /
+/// 8.
 __device__ void load_tiles(uint32_t (&to)[4], const Half* row) {
   const auto from = static_cast<uint32_t>(__cvta_generic_to_shared(row));
   asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0,%1,%2,%3}, [%4];"
@@ -48,7 +49,7 @@ __device__ void multiply_add(float* sums, const uint32_t (&a)[4], uint32_t b0, u
 
 struct LaneSums;
 
-/// A lane's part of a tile of factors: register r holds two neighbours in a row.
+/// A lane's part of a tile of factors: register r holds two adjacent numbers of a row.
 struct LaneFactors {
   uint32_t value[4];
 
@@ -67,7 +68,8 @@ struct LaneFactors {
   }
 };
 
-/// A lane's part of a tile of sums: numbers 2 r and 2 r + 1 lie where register r of factors does.
+/// A lane's part of a tile of sums: numbers 2 r and 2 r + 1 have the position of register r in
+/// LaneFactors.
 struct LaneSums {
   float value[8];
 

@@ -8,7 +8,7 @@ namespace tt3d::field {
 template <typename Share>
 void run_teams(const Cpu&, int64_t teams, const Share& share) {
   at::parallel_for(0, teams, 1, [&](int64_t first, int64_t last) {
-    // As new gives it: aligned for every type in it.
+    // new char[] is aligned for every type stored in it.
     const std::unique_ptr<char[]> memory(new char[share.bytes(OneThread::warps())]);
     for (int64_t t = first; t < last; ++t) share(OneThread{}, memory.get(), t, teams);
   });

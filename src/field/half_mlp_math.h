@@ -7,14 +7,17 @@
 
 #include "tt3d/kernel.h"
 
-/// Bodies of the small networks in half precision, fused layer to layer, in the tiles that tensor
-/// cores multiply (Mueller et al., "Real-time neural radiance caching for path tracing", TOG 2021,
+/// Bodies of the small MLPs in half precision, with fused layers, in the tiles that tensor cores
+/// multiply (Mueller et al., "Real-time neural radiance caching for path tracing", TOG 2021,
 /// section 4.3). Factors are float16, sums float32. A warp takes a tile of points through all
-/// layers in its registers: what comes out of a product has the layout that the next one takes in.
-/// Weights lie in the memory of the team that warps form, and pass through it again to sum the
-/// weights' gradients over points. A team is a block on the GPU (half_mlp.cu); on the CPU one
-/// thread, of one warp with one lane, where the same text gives the same roundings, slowly.
-/// Before a loop that is to be unrolled on the GPU, so that what it indexes stays in registers.
+/// layers in its registers: the output of a product has the layout of the next product's input. A
+/// team of warps holds the weights in its shared memory. In the backward pass, gradients and inputs
+/// go through that memory too, to sum the weights' gradients over points. On the GPU a team is a
+/// block (half_mlp.cu). On the CPU it is one thread, i.e. one warp with one lane: the same code
+/// gives the same roundings, but slowly.
+
+/// Unrolls the loop that follows, on the GPU, so that the arrays it indexes stay in registers. A
+/// macro, because the CPU's compiler warns about an unknown #pragma unroll.
 #ifdef __CUDA_ARCH__
 #define TT3D_UNROLL _Pragma("unroll")
 #else
@@ -25,28 +28,28 @@ namespace tt3d::field {
 
 using c10::Half;
 
-constexpr int kTile = 16;     ///< side of a tile: points, and numbers of a layer
-constexpr int kMaxTiles = 4;  ///< of a layer's inputs or outputs
+constexpr int kTile = 16;     ///< side of a tile: points, or units of a layer
+constexpr int kMaxTiles = 4;  ///< maximum for a layer's inputs or outputs
 constexpr int kMaxHalfLayers = 4;
-/// Numbers that rows in a team's memory have beside a whole number of tiles: rows then begin in
-/// different banks.
+/// Padding of rows in a team's memory, in numbers: consecutive rows then begin in different banks.
 constexpr int kRowGap = 8;
-/// Rows of the memory that gradients and inputs pass through.
+/// Row length of the memory that gradients and inputs go through.
 constexpr int kPassRow = kMaxTiles * kTile + kRowGap;
-/// Teams at most. The sums over points are made a team at a time, whatever runs them.
+/// Maximum number of teams. Each team has its own sums over points, so their order does not depend
+/// on the executor.
 constexpr int64_t kMaxTeams = 264;
 
 TT3D_HD int tiles_of(int n) { return (n + kTile - 1) / kTile; }
 TT3D_HD int in_tiles(int n) { return tiles_of(n) * kTile; }
 
-/// Within what float16 can hold; NaN stays NaN.
+/// Clamps to the range of float16; NaN stays NaN.
 TT3D_HD float clamp_to_half(float v) {
   constexpr float kLargest = 65504;
   return v > kLargest ? kLargest : v < -kLargest ? -kLargest : v;
 }
 
-/// The power of two that brings the largest gradient near 2^8: far from float16's smallest number,
-/// with room for the sums of a layer below its largest (Micikevicius et al., "Mixed precision
+/// The power of two that brings the largest gradient near 2^8: far above float16's smallest number,
+/// while sums within a layer stay below its largest (Micikevicius et al., "Mixed precision
 /// training", ICLR 2018, section 3.2).
 TT3D_HD float gradient_scale(float largest) {
   constexpr float kSmallest = 1e-30F;
@@ -55,7 +58,7 @@ TT3D_HD float gradient_scale(float largest) {
   return std::ldexp(1.0F, exponent - 1);
 }
 
-/// The network: float32 weights [out,in].
+/// The network's layers: float32 weights [out,in].
 struct HalfNetwork {
   struct Layer {
     const float* weights;
@@ -67,7 +70,7 @@ struct HalfNetwork {
   Layer layer[kMaxHalfLayers];
   int count;
 
-  /// Numbers of all weight gradients, tile after tile.
+  /// Size of all weight gradients, stored tile by tile.
   TT3D_HD int64_t sums() const {
     int64_t total = 0;
     for (int k = 0; k < count; ++k) total += layer[k].tiles() * kTile * kTile;
@@ -75,13 +78,13 @@ struct HalfNetwork {
   }
 };
 
-/// A team's memory. Weights are filled up with zeros to whole tiles.
+/// A team's memory. Weights are padded with zeros to whole tiles.
 struct HalfBuffers {
   Half* weights[kMaxHalfLayers];  ///< [out, row()]
-  Half* turned[kMaxHalfLayers];   ///< backward: [in, turned_row()]
-  Half *grads, *inputs;           ///< backward: of a layer, [points, kPassRow]
+  Half* turned[kMaxHalfLayers];   ///< backward: transposed weights [in, turned_row()]
+  Half *grads, *inputs;           ///< backward: of one layer, [points, kPassRow]
 
-  /// Cuts the memory into buffers; returns the bytes they take. With null it only counts.
+  /// Divides the memory into buffers; returns their total size in bytes. With null it only counts.
   TT3D_HD int64_t lay_out(const HalfNetwork& net, bool backward, int warps, char* memory) {
     int64_t used = 0;
     const auto take = [&](int64_t numbers) {
@@ -117,7 +120,7 @@ TT3D_HD void load_weights(const Team& team, const HalfNetwork& net, bool backwar
   }
 }
 
-/// Points [begin, begin + kTile) of x [rows,count] times `factor`, zeros outside.
+/// Loads points [begin, begin + kTile) of x [rows,count] times `factor`; zeros outside.
 template <typename Factors>
 TT3D_HD void load_points(const float* x, int rows, int64_t count, int64_t begin, float factor,
                          Factors (&into)[kMaxTiles]) {
@@ -132,8 +135,8 @@ TT3D_HD void load_points(const float* x, int rows, int64_t count, int64_t begin,
   }
 }
 
-/// Calls use(tile, sums) for every tile of outputs of a product of the points' numbers x, of `in`
-/// inputs, with weights [out, stride].
+/// Multiplies the points' inputs x (`in` numbers per point) with weights [out, stride]. Calls
+/// use(tile, sums) for every tile of outputs.
 template <typename Sums, typename Factors, typename Use>
 TT3D_HD void multiply(const Factors (&x)[kMaxTiles], int in, const Half* weights, int stride,
                       int out, const Use& use) {
@@ -151,7 +154,7 @@ TT3D_HD void multiply(const Factors (&x)[kMaxTiles], int in, const Half* weights
   }
 }
 
-/// A layer with a rectifier behind it.
+/// A layer followed by a ReLU.
 template <typename Sums, typename Factors>
 TT3D_HD void rectified_layer(const HalfNetwork::Layer& layer, const Half* weights,
                              const Factors (&x)[kMaxTiles], Factors (&y)[kMaxTiles]) {
@@ -159,7 +162,7 @@ TT3D_HD void rectified_layer(const HalfNetwork::Layer& layer, const Half* weight
                  [&](int tile, const Sums& sums) { y[tile].set_rectified(sums); });
 }
 
-/// Writes a tile of a result [rows,count] for points from `begin` on.
+/// Writes a tile of a result [rows,count] for the points from `begin` on.
 template <typename Sums>
 TT3D_HD void write_points(const Sums& sums, int tile, int rows, int64_t count, int64_t begin,
                           float factor, float* out) {
@@ -169,7 +172,7 @@ TT3D_HD void write_points(const Sums& sums, int tile, int rows, int64_t count, i
   });
 }
 
-/// A team's share of the forward pass: x [in,count] to out [out,count].
+/// A team's part of the forward pass: x [in,count] to out [out,count].
 template <int kLayers>
 struct HalfForward {
   HalfNetwork net;
@@ -207,12 +210,12 @@ struct HalfForward {
   }
 };
 
-/// A team's share of the backward pass. Gradients are carried times gradient_scale(*largest).
+/// A team's part of the backward pass. Gradients are scaled by gradient_scale(*largest) inside.
 template <int kLayers>
 struct HalfBackward {
   HalfNetwork net;
   const float *x, *grad_out;  ///< [in,count], [out,count]
-  const float* largest;       ///< size of the largest of grad_out
+  const float* largest;       ///< largest absolute value of grad_out
   float* grad_x;              ///< [in,count], or null
   float* sums;                ///< [teams, net.sums()]
   int64_t count;
@@ -230,17 +233,17 @@ struct HalfBackward {
     work.lay_out(net, true, team.warps(), memory);
     load_weights(team, net, true, work);
     const float scale = gradient_scale(*largest), back = 1 / scale;
-    Sums own[kLayers][Team::kShare];  // of the weights' gradients: each warp has some tiles
+    Sums own[kLayers][Team::kShare];  // the tiles of the weights' gradients that this warp sums
     for (auto& layer : own) {
       for (Sums& tile : layer) tile.clear();
     }
     const int64_t points = static_cast<int64_t>(team.warps()) * kTile;
     team.sync();
     for (int64_t begin = first * points; begin < count; begin += teams * points) {
-      const int64_t mine = begin + team.warp() * kTile;
+      const int64_t warp_begin = begin + team.warp() * kTile;
       Factors y[kLayers][kMaxTiles], grad[kMaxTiles], next[kMaxTiles];
-      load_points(x, net.layer[0].in, count, mine, 1, y[0]);
-      load_points(grad_out, net.layer[kLayers - 1].out, count, mine, scale, grad);
+      load_points(x, net.layer[0].in, count, warp_begin, 1, y[0]);
+      load_points(grad_out, net.layer[kLayers - 1].out, count, warp_begin, scale, grad);
       TT3D_UNROLL
       for (int k = 0; k + 1 < kLayers; ++k) {
         rectified_layer<Sums>(net.layer[k], work.weights[k], y[k], y[k + 1]);
@@ -260,7 +263,7 @@ struct HalfBackward {
         } else if (grad_x) {
           multiply<Sums>(grad, layer.out, work.turned[0], layer.turned_row(), layer.in,
                          [&](int tile, const Sums& s) {
-                           write_points(s, tile, layer.in, count, mine, back, grad_x);
+                           write_points(s, tile, layer.in, count, warp_begin, back, grad_x);
                          });
         }
         team.sync();
@@ -270,7 +273,7 @@ struct HalfBackward {
   }
 
  private:
-  /// Puts a warp's points into the team's memory, row by row.
+  /// Stores a warp's points in the team's memory, row by row.
   template <typename Team, typename Factors>
   TT3D_HD static void pass_points(const Team& team, const Factors (&x)[kMaxTiles], int numbers,
                                   Half* memory) {
@@ -316,7 +319,7 @@ struct HalfBackward {
   }
 };
 
-/// The CPU's team: one thread, whose one lane holds whole tiles.
+/// The CPU's team: one thread, whose single lane holds whole tiles.
 struct OneThread {
   struct Sums;
 
@@ -327,13 +330,13 @@ struct OneThread {
     void set(const Get& get) {
       for (int e = 0; e < kTile * kTile; ++e) value[e] = get(e / kTile, e % kTile);
     }
-    /// What a rectifier makes of the sums.
+    /// Sets the factors to ReLU(sums).
     void set_rectified(const Sums& sums) {
       for (int e = 0; e < kTile * kTile; ++e) {
         value[e] = clamp_to_half(sums.value[e] < 0 ? 0.0F : sums.value[e]);
       }
     }
-    /// The sums where `positive` is, 0 elsewhere.
+    /// Sets the factors to the sums where `positive` > 0, and to 0 elsewhere.
     void set_masked(const Sums& sums, const Factors& positive) {
       for (int e = 0; e < kTile * kTile; ++e) {
         const bool open = static_cast<float>(positive.value[e]) > 0;
@@ -350,7 +353,7 @@ struct OneThread {
     void clear() {
       for (float& v : value) v = 0;
     }
-    /// += a b^T, b a tile of a matrix with rows of `stride`.
+    /// this += a b^T; b is a tile of a matrix with row length `stride`.
     void add_product(const Factors& a, const Half* b, int stride) {
       float fb[kTile * kTile];
       for (int j = 0; j < kTile; ++j) {
@@ -363,7 +366,7 @@ struct OneThread {
         }
       }
     }
-    /// += a^T b, both tiles of matrices with rows of `stride`.
+    /// this += a^T b; both are tiles of matrices with row length `stride`.
     void add_turned_product(const Half* a, const Half* b, int stride) {
       for (int k = 0; k < kTile; ++k) {
         float row[kTile];
@@ -374,14 +377,14 @@ struct OneThread {
         }
       }
     }
-    /// use(row, column, value) for what the lane holds: all.
+    /// Calls use(row, column, value) for the numbers in the lane, here all of the tile.
     template <typename Use>
     void each(const Use& use) const {
       for (int e = 0; e < kTile * kTile; ++e) use(e / kTile, e % kTile, value[e]);
     }
   };
 
-  /// Tiles of a layer's weight gradients that a warp sums.
+  /// Maximum number of weight gradient tiles per layer that one warp sums.
   static constexpr int kShare = kMaxTiles * kMaxTiles;
   static int thread() { return 0; }
   static int threads() { return 1; }
@@ -390,17 +393,17 @@ struct OneThread {
   static void sync() {}
 };
 
-/// Runs a share on each of `teams` teams. On the CPU over its threads; on the GPU a block each.
+/// Runs `share` on each of `teams` teams: on the CPU's threads, or one block per team on the GPU.
 template <typename Share>
 void run_teams(const Cpu&, int64_t teams, const Share& share);
 template <typename Share>
 void run_teams(const Cuda& on, int64_t teams, const Share& share);
-/// Points that the executor's team takes at once.
+/// Points that a team of this executor processes together.
 TT3D_HD int64_t team_points(const Cpu&) { return kTile; }
 constexpr int kTeamWarps = 8;  ///< on the GPU
 TT3D_HD int64_t team_points(const Cuda&) { return kTeamWarps * kTile; }
 
-/// Expands DEFINE(layers) for each number of layers.
+/// Expands DEFINE(layers) for each number of layers. A macro, for lists of explicit instantiations.
 #define TT3D_FOR_EACH_DEPTH(DEFINE) DEFINE(1) DEFINE(2) DEFINE(3) DEFINE(4)
 
 }  // namespace tt3d::field

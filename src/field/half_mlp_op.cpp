@@ -5,12 +5,13 @@
 
 #include <cmath>
 #include <type_traits>
+#include <utility>
 
 #include "half_mlp_math.h"
 #include "tt3d/device.h"
 #include "tt3d/field.h"
 
-// The networks in half precision: checks, allocation, scale of the gradients, autograd.
+// The MLPs in half precision: checks, allocation, scaling of the gradients, autograd.
 namespace tt3d::field {
 namespace {
 
@@ -19,7 +20,8 @@ using torch::autograd::AutogradContext;
 using torch::autograd::Function;
 using torch::autograd::variable_list;
 
-/// The network for the loops in half precision; false where it is too wide or too deep for them.
+/// Describes the network for the half-precision loops; false if it is too wide or too deep for
+/// them.
 bool network_of(const variable_list& weights, HalfNetwork& net) {
   if (weights.size() > kMaxHalfLayers) return false;
   net.count = static_cast<int>(weights.size());
@@ -38,21 +40,18 @@ int64_t teams_for(const Executor& on, int64_t points) {
   return std::min((points + team_points(on) - 1) / team_points(on), kMaxTeams);
 }
 
+template <typename Body, int... kDepth>
+void with_depth(int layers, const Body& body, std::integer_sequence<int, kDepth...> /*depths*/) {
+  ((layers == kDepth + 1 ? body(std::integral_constant<int, kDepth + 1>()) : void()), ...);
+}
+
 /// Calls `body` with the number of layers as a constant.
 template <typename Body>
 void with_depth(int layers, const Body& body) {
-  switch (layers) {
-#define TT3D_CASE(LAYERS) \
-  case LAYERS:            \
-    return body(std::integral_constant<int, LAYERS>());
-    TT3D_FOR_EACH_DEPTH(TT3D_CASE)
-#undef TT3D_CASE
-    default:
-      return;
-  }
+  with_depth(layers, body, std::make_integer_sequence<int, kMaxHalfLayers>());
 }
 
-/// The weights' gradients out of their sums, tiles one after another.
+/// Extracts the weights' gradients from their sums, which are stored tile by tile.
 variable_list weight_gradients(const Tensor& sums, const variable_list& weights) {
   variable_list gradients;
   int64_t begin = 0;
@@ -143,11 +142,11 @@ bool half_mlp_fits(const std::vector<Tensor>& weights) {
 
 }  // namespace tt3d::field
 
-namespace tt3d {
+namespace tt3d::field {
 
 at::Tensor half_mlp(const at::Tensor& x, const std::vector<at::Tensor>& weights) {
   field::check_mlp("half_mlp", x, weights);
   return field::HalfMlp::apply(x, at::TensorList(weights));
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::field

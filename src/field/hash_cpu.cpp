@@ -7,17 +7,17 @@ namespace tt3d::field {
 namespace {
 
 constexpr int64_t kChunk = 8192;
-constexpr int64_t kSlopeChunk = 1024;  ///< its sums stay in the first cache and on the stack
+constexpr int64_t kSlopeChunk = 1024;  ///< points; their sums fit into the L1 cache and the stack
 
-/// The cells of a block of points. Their entries are found first, in vectors: then nothing that is
-/// loaded or added waits for an address, and the memory is asked for many at a time.
+/// The cells of a block of points. All entry indices are computed first, in vectors. Loads and adds
+/// then never wait for an address, and many memory accesses are in flight at once.
 template <typename T>
 struct Cells {
   static constexpr int64_t kCount = 64;
   uint32_t entry[8][kCount];
   T fraction[3][kCount], weight[8][kCount];
 
-  /// Of points whose entries, F numbers each, lie in `table`.
+  /// For points whose entries, F features each, are in `table`.
   template <int F>
   TT3D_HD void find(const T* __restrict points, const T* table, int64_t count,
                     const HashLevel& level) {
@@ -52,7 +52,7 @@ TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table,
     cells.template find<F>(points + 3 * first, table, size, level);
     cells.weigh(size);
     T sums[F][cells.kCount] = {};
-    [[maybe_unused]] T value[F][8][cells.kCount];  // of the corners, for the slopes
+    [[maybe_unused]] T value[F][8][cells.kCount];  // at the corners, for the slopes
     for (int k = 0; k < 8; ++k) {
 #pragma GCC ivdep
       for (int64_t i = 0; i < size; ++i) {
@@ -80,7 +80,7 @@ TT3D_HD void encode_range(const T* __restrict points, const T* __restrict table,
   }
 }
 
-/// Adds a cell's eight corners, corner outermost, to the table.
+/// Adds the sums of a cell's eight corners to the table; `sums` is [8, F].
 template <typename T, int F>
 TT3D_HD void add_cell(const uint32_t cell[3], const T* sums, T* grad_table,
                       const HashLevel& level) {
@@ -90,8 +90,8 @@ TT3D_HD void add_cell(const uint32_t cell[3], const T* sums, T* grad_table,
   }
 }
 
-/// Where cells are coarse, neighbouring points (pixels of a surface, samples of a ray) lie in one:
-/// its sums stay in registers until a point leaves it.
+/// Coarse levels: neighbouring points (pixels of a surface, samples of a ray) lie in the same cell.
+/// Its sums stay in registers until a point lies in another cell.
 template <typename T, int F>
 TT3D_HD void scatter_runs(const T* __restrict points, const T* __restrict grad_out,
                           T* __restrict grad_table, int64_t count, HashLevel level) {
@@ -118,7 +118,7 @@ TT3D_HD void scatter_runs(const T* __restrict points, const T* __restrict grad_o
   add_cell<T, F>(held, sums, grad_table, level);
 }
 
-/// Where they are fine, each point has its own.
+/// Fine levels: nearly every point has its own cell.
 template <typename T, int F>
 TT3D_HD void scatter_blocks(const T* __restrict points, const T* __restrict grad_out,
                             T* __restrict grad_table, int64_t count, HashLevel level) {
@@ -140,7 +140,7 @@ TT3D_HD void scatter_blocks(const T* __restrict points, const T* __restrict grad
   }
 }
 
-/// Points [begin, end), kSlopeChunk at most: the rows' slopes times their gradients, summed.
+/// Gradient of points [begin, end), at most kSlopeChunk: sum over the rows of slope times gradient.
 template <typename T>
 TT3D_HD void slope_range(const T* __restrict points, const T* __restrict slopes,
                          const T* __restrict grad_out, T* __restrict grad_points, int64_t begin,
@@ -171,7 +171,8 @@ TT3D_HD void encode_level(const T* points, const T* table, T* out, T* slopes, in
     encode_range<T, F, false, kSlopes>(points, table, out, slopes, begin, end, count, level);
 }
 
-// target_clones needs plain functions: one for each type and feature count.
+// Macros, because target_clones does not apply to templates: one function per type and feature
+// count.
 #define TT3D_HASH_LOOPS(T, F)                                                          \
   TT3D_CPU_LOOP void encode_##T##F(const T* points, const T* table, T* out, T* slopes, \
                                    int64_t begin, int64_t end, int64_t count,          \
@@ -227,7 +228,7 @@ void hash_encode(const Cpu&, const T* points, const T* table, T* out, T* slopes,
                  const HashLevels& levels, int64_t features) {
   const auto encode = encode_loop<T>(features);
   const int64_t chunks = (count + kChunk - 1) / kChunk;
-  // Levels outermost, so that a thread's level table stays in its cache.
+  // Levels outermost, so that the table of a thread's level stays in its cache.
   for_each_task(levels.count * chunks, [&](int64_t task) {
     const int64_t l = task / chunks, begin = task % chunks * kChunk;
     const HashLevel& level = levels.level[l];
@@ -242,7 +243,7 @@ template <typename T>
 void hash_encode_backward(const Cpu&, const T* points, const T* grad_out, T* grad_table,
                           int64_t count, const HashLevels& levels, int64_t features) {
   const auto scatter = scatter_loop<T>(features);
-  // A level is one thread's. Fine ones cost the most.
+  // A thread takes whole levels, the fine ones first, since they cost the most.
   for_each_task(levels.count, [&](int64_t task) {
     const int64_t l = levels.count - 1 - task;
     const HashLevel& level = levels.level[l];

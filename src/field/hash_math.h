@@ -10,9 +10,9 @@ namespace tt3d::field {
 
 struct HashLevel {
   float scale;          ///< cells along the unit interval
-  uint32_t resolution;  ///< grid points a side
+  uint32_t resolution;  ///< grid points per side
   uint32_t size;        ///< entries
-  bool dense;           ///< entries are grid points, no hashing
+  bool dense;           ///< one entry per grid point, no hashing
   int64_t offset;       ///< first entry in the table
 };
 
@@ -27,32 +27,32 @@ TT3D_HD void locate(T x, const HashLevel& level, uint32_t& cell, T& fraction) {
   fraction = position - static_cast<T>(floored);
 }
 
-/// Entry of a grid point: its index when the level is dense, the paper's hash (eq. 4) otherwise.
+/// Entry of a grid point: its index if the level is dense, else the paper's hash (eq. 4).
 TT3D_HD uint32_t entry_of(uint32_t x, uint32_t y, uint32_t z, const HashLevel& level) {
   if (level.dense) return x + level.resolution * (y + level.resolution * z);
   return (x ^ (y * 2654435761U) ^ (z * 805459861U)) & (level.size - 1U);
 }
 
-/// All levels, small enough to travel as a kernel's argument.
+/// All levels, small enough to be a kernel's argument.
 struct HashLevels {
   static constexpr int64_t kMaxLevels = 32;
   HashLevel level[kMaxLevels];
   int64_t count;
 };
 
-/// A grid point of a cell: its entry and its weight at the point inside.
+/// A grid point of a cell: its entry, and its interpolation weight at the encoded point.
 template <typename T>
 struct Corner {
   uint32_t entry;
   T weight;
 };
 
-/// Entry of corner k of the cell: bit 0 moves along x, bit 1 along y, bit 2 along z.
+/// Entry of corner k of the cell: bit 0 of k steps along x, bit 1 along y, bit 2 along z.
 TT3D_HD uint32_t corner_entry(int k, const uint32_t cell[3], const HashLevel& level) {
   return entry_of(cell[0] + (k & 1), cell[1] + ((k >> 1) & 1), cell[2] + ((k >> 2) & 1), level);
 }
 
-/// Its weight at the point inside.
+/// Its interpolation weight.
 template <typename T>
 TT3D_HD T corner_weight(int k, const T fraction[3]) {
   const T wx = k & 1 ? fraction[0] : T(1) - fraction[0];
@@ -61,14 +61,14 @@ TT3D_HD T corner_weight(int k, const T fraction[3]) {
   return wx * wy * wz;
 }
 
-/// Corner k of the cell.
+/// Entry and weight of corner k of the cell.
 template <typename T>
 TT3D_HD Corner<T> corner_of(int k, const uint32_t cell[3], const T fraction[3],
                             const HashLevel& level) {
   return {corner_entry(k, cell, level), corner_weight(k, fraction)};
 }
 
-/// The numbers of one entry, taken in one load.
+/// The features of one entry, loaded together.
 template <typename T, int F>
 struct Entry {
   T value[F];
@@ -85,8 +85,8 @@ TT3D_HD Entry<T, F> load_entry(const T* table, uint32_t entry) {
   for (int f = 0; f < F; ++f) e.value[f] = whole.value[f];
 #else
   if constexpr (sizeof(T) == 4 && F == 2) {
-    // As one number of 64 bits: loops around it then load half as often (a struct would cost them
-    // their vectors).
+    // One 64-bit load for both floats: loops then need half the loads. (A struct would prevent
+    // their vectorisation.)
     typedef uint64_t Pair __attribute__((may_alias, aligned(4)));
     const uint64_t bits = reinterpret_cast<const Pair*>(table)[static_cast<int32_t>(entry)];
     e.value[0] = __builtin_bit_cast(float, static_cast<uint32_t>(bits));
@@ -98,14 +98,14 @@ TT3D_HD Entry<T, F> load_entry(const T* table, uint32_t entry) {
   return e;
 }
 
-/// sum[F] += weight * the entry's numbers.
+/// sum[F] += weight * the entry's features.
 template <typename T, int F>
 TT3D_HD void add_entry(const T* table, uint32_t entry, T weight, T sum[F]) {
   const auto e = load_entry<T, F>(table, entry);
   for (int f = 0; f < F; ++f) sum[f] += weight * e.value[f];
 }
 
-/// The entry's numbers times grad[F], summed.
+/// Dot product of the entry's features and grad[F].
 template <typename T, int F>
 TT3D_HD T dot_entry(const T* table, uint32_t entry, const T grad[F]) {
   const auto e = load_entry<T, F>(table, entry);
@@ -114,7 +114,7 @@ TT3D_HD T dot_entry(const T* table, uint32_t entry, const T grad[F]) {
   return value;
 }
 
-/// Adds to one entry. From sm_90 on the GPU takes two floats in one atomic.
+/// Adds to one entry. From sm_90 on, the GPU adds two floats with one atomic.
 template <typename T, int F>
 TT3D_HD void add_to_entry(T* table, uint32_t entry, T weight, const T value[F]) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
@@ -133,8 +133,8 @@ TT3D_HD void add_to_entry(T* table, uint32_t entry, T weight, const T value[F]) 
 }
 
 #ifdef __CUDA_ARCH__
-/// The lower of two entries where they lie beside each other in 16 bytes of their own, as every
-/// second edge along x does; null elsewhere.
+/// The lower of two entries if they share an aligned block of 16 bytes, as those of every second
+/// edge along x do; else null.
 template <typename T>
 __device__ T* lower_of_pair(T* table, uint32_t a, uint32_t b) {
   const uint32_t lower = a < b ? a : b;
@@ -150,7 +150,7 @@ struct Edge {
   Corner<T> at[2];
 };
 
-/// sum[F] += what the edge's two points have. The GPU takes both in one load where it can.
+/// sum[F] += weighted features of the edge's two points. The GPU loads both together if possible.
 template <typename T, int F>
 TT3D_HD void add_edge(const T* table, const Edge<T>& edge, T sum[F]) {
 #ifdef __CUDA_ARCH__
@@ -168,7 +168,8 @@ TT3D_HD void add_edge(const T* table, const Edge<T>& edge, T sum[F]) {
   for (const Corner<T>& c : edge.at) add_entry<T, F>(table, c.entry, c.weight, sum);
 }
 
-/// Adds value[F] to both points, each by its weight; one atomic on the GPU where it can (sm_90).
+/// Adds value[F] to both points, times their weights; with one atomic on the GPU if possible
+/// (sm_90).
 template <typename T, int F>
 TT3D_HD void add_to_edge(T* table, const Edge<T>& edge, const T value[F]) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ >= 900
@@ -185,7 +186,7 @@ TT3D_HD void add_to_edge(T* table, const Edge<T>& edge, const T value[F]) {
   for (const Corner<T>& c : edge.at) add_to_entry<T, F>(table, c.entry, c.weight, value);
 }
 
-/// sum[F] of point x[3] in a level whose entries begin at `table`.
+/// sum[F] += the encoding of point x[3] in a level whose entries begin at `table`.
 template <typename T, int F>
 TT3D_HD void encode_point(const T* x, const T* table, const HashLevel& level, T sum[F]) {
   uint32_t cell[3];
@@ -220,7 +221,7 @@ TT3D_HD void scatter_point(const T* x, const T grad[F], T* grad_table, const Has
   }
 }
 
-/// Point i % count in level i / count: points [count,3], out [levels * F, count].
+/// Body: point i % count in level i / count; points [count,3], out [levels * F, count].
 template <typename T, int F>
 struct HashEncodeItem {
   const T* points;
@@ -253,16 +254,16 @@ struct HashScatterItem {
   }
 };
 
-/// Slopes of the trilinear interpolation of a cell's eight numbers with respect to the position
-/// inside, taken along x, then y, then z, so that each is used again.
+/// Derivatives of the trilinear interpolation of a cell's eight values with respect to the position
+/// inside the cell. Interpolates along x, then y, then z, so that intermediate results are reused.
 template <typename T>
 TT3D_HD void slope_of_cell(const T v[8], const T fraction[3], T sum[3]) {
-  T along_x[4], at_x[4];  // of the cell's four edges along x
+  T along_x[4], at_x[4];  // for the cell's four edges along x
   for (int64_t k = 0; k < 4; ++k) {
     along_x[k] = v[2 * k + 1] - v[2 * k];
     at_x[k] = v[2 * k] + along_x[k] * fraction[0];
   }
-  T slope_x[2], along_y[2], at_y[2];  // of its lower and upper face
+  T slope_x[2], along_y[2], at_y[2];  // for its lower and upper face
   for (int k = 0; k < 2; ++k) {
     slope_x[k] = along_x[2 * k] + (along_x[2 * k + 1] - along_x[2 * k]) * fraction[1];
     along_y[k] = at_x[2 * k + 1] - at_x[2 * k];
@@ -273,7 +274,7 @@ TT3D_HD void slope_of_cell(const T v[8], const T fraction[3], T sum[3]) {
   sum[2] = at_y[1] - at_y[0];
 }
 
-/// Gradient of encode_point with respect to the position inside the cell, for grad[F].
+/// Gradient of encode_point, multiplied with grad[F], with respect to the position inside the cell.
 template <typename T, int F>
 TT3D_HD void slope_of_point(const T* x, const T* table, const T grad[F], const HashLevel& level,
                             T sum[3]) {
@@ -284,19 +285,19 @@ TT3D_HD void slope_of_point(const T* x, const T* table, const T grad[F], const H
   slope_of_cell(v, fraction, sum);
 }
 
-/// How far a position inside a level's cell moves with the point.
+/// Derivative of the position inside a level's cell with respect to the point.
 template <typename T>
 TT3D_HD T stretch_of(const HashLevel& level) {
   return static_cast<T>(level.scale) * T(0.5);
 }
 
-/// Whether a coordinate moves the look-up: clamped ones do not.
+/// Whether a coordinate has a gradient: clamped ones do not.
 template <typename T>
 TT3D_HD bool is_inside(T x) {
   return x > T(-1) && x < T(1);
 }
 
-/// Gradient with respect to point i; overwrites it.
+/// Body: the gradient with respect to point i; overwrites it.
 template <typename T, int F>
 struct HashPointGradient {
   const T* points;

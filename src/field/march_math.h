@@ -5,16 +5,17 @@
 
 #include "tt3d/kernel.h"
 
-/// Bodies of ray marching through the occupancy grid over [-1,1]^3, and of choosing samples: one
-/// ray. Lists are made in two passes, count and write, with a prefix sum between.
+/// Bodies of ray marching through the occupancy grid over [-1,1]^3, and of the selection of
+/// samples: one ray per item. Lists are made in two passes, count and write, with a prefix sum
+/// between them.
 namespace tt3d::field {
 
-/// Cells a side of a coarse cell.
+/// Side of a coarse cell, in cells.
 inline constexpr int64_t kCoarse = 8;
 
 struct MarchGrid {
   const uint8_t* occupied;  ///< [G,G,G] over (z,y,x)
-  const uint8_t* coarse;    ///< [G/8,G/8,G/8]: whether any of 8x8x8 cells is occupied
+  const uint8_t* coarse;    ///< [G/8,G/8,G/8]: whether any of the 8x8x8 cells is occupied
   int64_t size;
   float step, near_distance;
 };
@@ -50,13 +51,13 @@ TT3D_HD float cell_exit(const float p[3], const float d[3], const int64_t cell[3
   return exit;
 }
 
-/// Visits the middle of every step in an occupied cell: visit(point[3]).
+/// Calls visit(point[3]) for the middle of every step that lies in an occupied cell.
 template <typename Visit>
 TT3D_HD void march_ray(const float o[3], const float d[3], float jitter, const MarchGrid& grid,
                        const Visit& visit) {
   float begin, end;
   if (!box_range(o, d, grid.near_distance, begin, end)) return;
-  // Steps sit on a lattice along the ray, so skipping empty cells does not shift later samples.
+  // Steps lie on a lattice along the ray, so skipping empty cells does not shift later samples.
   const float start = begin + jitter * grid.step;
   for (int64_t i = 0;;) {
     const float t = start + static_cast<float>(i) * grid.step;
@@ -81,7 +82,7 @@ TT3D_HD void march_ray(const float o[3], const float d[3], float jitter, const M
   }
 }
 
-/// Whether any cell of 8x8x8 is occupied: lets rays skip empty space in large strides.
+/// Body: whether any cell of 8x8x8 is occupied. Rays skip empty coarse cells as a whole.
 struct CoarseCell {
   const uint8_t* occupied;
   uint8_t* coarse;
@@ -100,7 +101,7 @@ struct CoarseCell {
   }
 };
 
-/// Rays to march, [R,3] each.
+/// Rays for marching, [R,3] each.
 struct MarchRays {
   const float* origins;
   const float* directions;
@@ -132,7 +133,7 @@ struct WriteSamples {
   }
 };
 
-/// How many samples of a ray lie before an optical depth.
+/// Body: the number of a ray's samples before an optical depth.
 struct CountVisible {
   const float* densities;
   const float* steps;
@@ -150,7 +151,7 @@ struct CountVisible {
   }
 };
 
-/// The first samples of each ray, as many as its list is long.
+/// Body: the first samples of each ray, as many as its list has room for.
 struct WriteFirst {
   const int64_t* begin;
   const int64_t* kept_begin;
@@ -162,12 +163,12 @@ struct WriteFirst {
   }
 };
 
-/// A round's samples of a ray: the next few, while it is transparent.
+/// A ray's samples in one round: the next `length` ones, while the ray is transparent.
 struct RoundRange {
   const int64_t* begin;
   const double* depth;
   double limit;
-  int64_t skip, length;  ///< samples of the rounds before, of this one
+  int64_t skip, length;  ///< samples per ray in earlier rounds, in this round
   TT3D_HD int64_t first(int64_t r) const { return begin[r] + skip; }
   TT3D_HD int64_t count(int64_t r) const {
     const int64_t left = begin[r + 1] - first(r);
@@ -194,7 +195,7 @@ struct WriteRound {
   }
 };
 
-/// Adds the round's optical depth to its rays.
+/// Body: adds the optical depth of the round's samples to their ray.
 struct AddRound {
   RoundRange range;
   const int64_t* chosen_begin;
@@ -209,7 +210,7 @@ struct AddRound {
   }
 };
 
-/// Directions of the samples, repeated from their rays.
+/// Body: copies a ray's direction to its samples.
 struct RepeatDirection {
   const float* directions;  ///< [R,3]
   const int64_t* begin;

@@ -6,10 +6,11 @@
 namespace tt3d::field {
 namespace {
 
-constexpr int64_t kChunk = 4096;  ///< points a partial weight gradient covers
+constexpr int64_t kChunk = 4096;  ///< points per partial weight gradient
 static_assert(kChunk % kBlock == 0);
 
-// One for each type and processor; the best that the machine has is chosen at load time.
+// One function per type and instruction set; the loader picks the best one for the machine. Macros,
+// because a template cannot have its target as a parameter.
 #define TT3D_MLP_LOOPS(TARGET, BYTES, T)                                                         \
   TARGET void forward_range(const T* x, const Layers<T>& layers, const Buffers<T>& work, T* out, \
                             int64_t begin, int64_t end, int64_t count) {                         \
@@ -55,7 +56,8 @@ void mlp_backward_cpu(const T* x, const std::vector<Layer<T>>& layers, const T* 
     parameters += padded(layer.in) * layer.out;
   }
   const Layers<T> network{layers.data(), transposed_data.data(), layers.size()};
-  // Partial weight gradients by chunk, added in chunk order: the same sums with any threads.
+  // One partial weight gradient per chunk, added in chunk order: the sums do not depend on the
+  // number of threads.
   const int64_t chunks = (count + kChunk - 1) / kChunk;
   const Storage<T> storage = zeros<T>(chunks * parameters);
   T* partial = storage.get();

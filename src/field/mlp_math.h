@@ -10,20 +10,19 @@
 #include "field_kernels.h"
 #include "tt3d/kernel.h"
 
-/// Bodies of the small networks on the CPU: a block of kBlock points goes through all layers while
-/// its activations are in cache.
+/// Bodies of the small MLPs on the CPU: a block of kBlock points goes through all layers while its
+/// activations are in the cache.
 namespace tt3d::field {
 
 constexpr int kBlock = 128;
-/// Numbers from a row of a block to the next: an odd number of cache lines, so that the rows spread
-/// over the cache.
+/// Row length of a block: an odd number of cache lines, so that rows map to different cache sets.
 constexpr int kRow = kBlock + 16;
 
-/// Numbers rounded up to whole vectors of any processor.
+/// n rounded up to whole vectors of any processor.
 constexpr int64_t padded(int64_t n) { return (n + 15) / 16 * 16; }
 
-/// A processor's vectors, and the tiles of a product that its registers hold. A vector wider than
-/// the processor's would be taken apart through memory, fifty times slower.
+/// The vector width of an instruction set, and the tiles of a product that its registers can hold.
+/// Vectors wider than the registers go through memory, which is fifty times slower.
 template <int kVectorBytes>
 struct Processor {
   template <typename T>
@@ -48,10 +47,9 @@ TT3D_HD const Lanes<P, T>& lanes_at(const T* numbers) {
   return *reinterpret_cast<const Lanes<P, T>*>(numbers);
 }
 
-/// y[out,kBlock] = w[out,in] x[in,kBlock], some rows of y by two vectors of points at a time. Where
-/// there is a gate [out,kBlock], y is zero where that is not positive; y itself as its gate makes a
-/// rectifier. The points are outermost, so that what is read of x stays in the first cache for all
-/// rows.
+/// y[out,kBlock] = w[out,in] x[in,kBlock]. A tile is some rows of y by two vectors of points. With
+/// a gate [out,kBlock], y is zero where the gate is not positive; gate == y gives ReLU. The points
+/// are the outermost loop, so that the columns of x stay in the L1 cache for all rows.
 template <typename P, typename T>
 TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out, const T* gate) {
   constexpr int kRows = P::kProductRows, kLanes = P::template kLanes<T>;
@@ -69,7 +67,7 @@ TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out, con
           sum[r][1] += row[r][i] * b;
         }
       }
-      // Up to kRows, not to `rows`: sums with an index that varies would not stay in registers.
+      // The bound is kRows, not `rows`: a variable index would move the sums out of registers.
       for (int64_t r = 0; r < kRows; ++r) {
         if (r >= rows) break;
         for (int k = 0; k < 2; ++k) {
@@ -86,7 +84,7 @@ TT3D_HD void multiply(const T* w, const T* x, T* y, int64_t in, int64_t out, con
   }
 }
 
-/// Stages of a transposition: rows r and r + kStep swap every other group of kStep lanes.
+/// Stages of a transposition: in rows r and r + kStep, swaps every other group of kStep lanes.
 template <typename P, typename T, int kStep, int... kLane>
 TT3D_HD void exchange(Lanes<P, T>* rows, std::integer_sequence<int, kLane...> lanes) {
   constexpr int kLanes = sizeof...(kLane);
@@ -116,7 +114,7 @@ TT3D_HD void turn(const T* x, int64_t in, int64_t width, T* turned) {
   }
 }
 
-/// grad[out,width] += gy[out,kBlock] turned[kBlock,width] for kColumns vectors from column i on.
+/// grad[out,width] += gy[out,kBlock] turned[kBlock,width], for kColumns vectors from column i on.
 template <typename P, int kColumns, typename T>
 TT3D_HD void accumulate_columns(const T* gy, const T* turned, T* grad, int64_t i, int64_t width,
                                 int64_t out) {
@@ -142,7 +140,7 @@ TT3D_HD void accumulate_columns(const T* gy, const T* turned, T* grad, int64_t i
   }
 }
 
-/// grad[out,padded(in)] += gy[out,kBlock] x[in,kBlock]^T, through x turned.
+/// grad[out,padded(in)] += gy[out,kBlock] x[in,kBlock]^T; `turned` holds x transposed.
 template <typename P, typename T>
 TT3D_HD void accumulate_weights(const T* gy, const T* x, T* turned, T* grad, int64_t in,
                                 int64_t out) {
@@ -159,7 +157,7 @@ TT3D_HD void accumulate_weights(const T* gy, const T* x, T* turned, T* grad, int
   for (; i < width; i += kLanes) accumulate_columns<P, 1>(gy, turned, grad, i, width, out);
 }
 
-/// Copies points [begin, begin + kBlock) of x [rows,count] into a block, zeros past the end.
+/// Copies points [begin, begin + kBlock) of x [rows,count] into a block; zeros past the end.
 template <typename T>
 TT3D_HD void load_block(const T* x, int64_t rows, int64_t count, int64_t begin, T* block) {
   const int64_t n = std::min<int64_t>(kBlock, count - begin);
@@ -177,23 +175,23 @@ TT3D_HD void store_block(const T* block, int64_t rows, int64_t count, int64_t be
   }
 }
 
-/// The network as the loops take it.
+/// The network as an argument of the loops.
 template <typename T>
 struct Layers {
   const Layer<T>* layer;
-  const T* const* transposed;  ///< the weights as [in,out]; backward alone reads them
+  const T* const* transposed;  ///< the weights as [in,out]; only the backward pass reads them
   size_t count;
 };
 
-/// Where the loops work.
+/// Working memory of the loops.
 template <typename T>
 struct Buffers {
   T* const* activations;  ///< [k] is the input of layer k, the last one the output
   T *grad_a, *grad_b;
-  T* turned;  ///< the input of a layer, point by point
+  T* turned;  ///< the transposed input of a layer, [points, padded(in)]
 };
 
-/// Numbers in whole cache lines.
+/// Deleter for memory aligned to cache lines.
 struct FreeAligned {
   void operator()(void* memory) const { ::operator delete[](memory, std::align_val_t{64}); }
 };
@@ -242,8 +240,8 @@ TT3D_HD void forward_block(const Layers<T>& layers, T* const* activations) {
   }
 }
 
-/// Walks the layers backward; grad_a holds the output's gradient at the start. Returns the input's,
-/// if it is wanted.
+/// The backward pass of a block; grad_a holds the output's gradient at the start. Returns the
+/// input's gradient if it is wanted.
 template <typename P, typename T>
 TT3D_HD const T* backward_block(const Layers<T>& layers, const Buffers<T>& work,
                                 T* const* grad_weights, bool want_input) {
@@ -259,7 +257,7 @@ TT3D_HD const T* backward_block(const Layers<T>& layers, const Buffers<T>& work,
   return grad;
 }
 
-/// Points [begin, end) forward.
+/// Forward pass of points [begin, end).
 template <typename P, typename T>
 TT3D_HD void forward_points(const T* x, const Layers<T>& layers, const Buffers<T>& work, T* out,
                             int64_t begin, int64_t end, int64_t count) {
@@ -270,7 +268,7 @@ TT3D_HD void forward_points(const T* x, const Layers<T>& layers, const Buffers<T
   }
 }
 
-/// Points [begin, end) backward: adds to grad_w, writes grad_x if that is wanted.
+/// Backward pass of points [begin, end): adds to grad_w, writes grad_x if it is wanted.
 template <typename P, typename T>
 TT3D_HD void backward_points(const T* x, const Layers<T>& layers, const Buffers<T>& work,
                              const T* grad_out, T* grad_x, T* const* grad_w, int64_t begin,

@@ -6,7 +6,7 @@
 #include "tt3d/random_tensor.h"
 #include "tt3d/tensor_file.h"
 
-namespace tt3d {
+namespace tt3d::field {
 namespace {
 
 using at::Tensor;
@@ -15,7 +15,7 @@ Tensor initial_tensor(at::IntArrayRef shape, double bound, uint64_t seed, const 
   return uniform_tensor(shape, -bound, bound, Random(seed, "field/" + name).key(), at::kCPU);
 }
 
-/// Layers in -> hidden... -> out, He-uniform.
+/// Layers in -> hidden... -> out, initialised He-uniform.
 std::vector<Tensor> make_mlp(const std::vector<int64_t>& widths, uint64_t seed,
                              const std::string& name) {
   std::vector<Tensor> weights;
@@ -95,7 +95,7 @@ RadianceField RadianceField::create(const FieldShape& shape, uint64_t seed) {
 }
 
 Tensor RadianceField::density(const Tensor& x) const {
-  // exp of the clamped output, as the official code activates it.
+  // exp of the clamped output, the activation in the official code.
   return mlp(encode_points(x, geometry_grid, shape.geometry), density_mlp)[0].clamp(-15, 15).exp();
 }
 
@@ -150,4 +150,4 @@ RadianceField RadianceField::load(const std::filesystem::path& path) {
   return f;
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::field

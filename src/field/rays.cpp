@@ -1,5 +1,7 @@
 #include "rays.h"
 
+#include "tt3d/image.h"
+
 #include <ATen/ATen.h>
 
 #include <algorithm>
@@ -8,7 +10,9 @@
 
 #include "march_math.h"
 #include "rays_math.h"
+#include "tt3d/capture.h"
 #include "tt3d/device.h"
+#include "tt3d/scene.h"
 
 namespace tt3d::field {
 
@@ -16,11 +20,11 @@ using at::Tensor;
 
 namespace {
 
-/// A view's mask, dilated by the width of a cell of the hull's grid on the picture, so that a cell
-/// whose centre projects just outside the silhouette survives. [H,W] uint8.
-Tensor dilated_mask(const View& view, int64_t grid_size) {
+/// A view's mask, dilated by the projected width of a cell of the hull's grid. A cell whose centre
+/// projects just outside the silhouette is thus kept. [H,W] uint8.
+Tensor dilated_mask(const capture::View& view, int64_t grid_size) {
   const Tensor alpha = (view.rgba.select(2, 3) > 0).to(at::kFloat).unsqueeze(0).unsqueeze(0);
-  // A cell at the object's usual distance: half the cell's diagonal, in pixels, and one more.
+  // Radius in pixels: half the diagonal of a cell at the object's usual distance, plus one.
   const auto position = view.camera.position();
   const double distance =
       std::sqrt(position[0] * position[0] + position[1] * position[1] + position[2] * position[2]);
@@ -38,8 +42,9 @@ Tensor dilated_mask(const View& view, int64_t grid_size) {
 
 namespace {
 
-/// A camera as the kernels take it.
-std::array<double, kCameraNumbers> camera_numbers(const Camera& camera, int64_t first_pixel) {
+/// A camera as a kernel argument.
+std::array<double, kCameraNumbers> camera_numbers(const scene::Camera& camera,
+                                                  int64_t first_pixel) {
   std::array<double, kCameraNumbers> numbers{};
   std::copy_n(camera.camera_to_world.begin(), 12, numbers.begin());
   const double rest[] = {camera.fx,
@@ -59,14 +64,14 @@ Rays empty_rays(int64_t count, at::Device device) {
 
 }  // namespace
 
-PixelPool make_pixel_pool(const std::vector<View>& views, int64_t occupancy_size,
+PixelPool make_pixel_pool(const std::vector<capture::View>& views, int64_t occupancy_size,
                           at::Device device) {
   std::vector<Tensor> pictures, pixels;
   std::vector<double> cameras;
   std::vector<int64_t> view_begin = {0};
   int64_t first_pixel = 0;
-  for (const View& view : views) {
-    pictures.push_back(premultiplied(view).view({-1, 4}));
+  for (const capture::View& view : views) {
+    pictures.push_back(image::premultiplied(view.rgba).view({-1, 4}));
     pixels.push_back(dilated_mask(view, occupancy_size).flatten().nonzero().flatten());
     const auto numbers = camera_numbers(view.camera, first_pixel);
     cameras.insert(cameras.end(), numbers.begin(), numbers.end());
@@ -99,7 +104,7 @@ Rays random_rays(const PixelPool& pool, int64_t count, uint64_t seed, int64_t st
   return rays;
 }
 
-Rays row_rays(const Camera& camera, int64_t row_begin, int64_t row_end, at::Device device) {
+Rays row_rays(const scene::Camera& camera, int64_t row_begin, int64_t row_end, at::Device device) {
   const int64_t count = (row_end - row_begin) * camera.width;
   Rays rays = empty_rays(count, device);
   RowRay body = {{},
@@ -114,7 +119,7 @@ Rays row_rays(const Camera& camera, int64_t row_begin, int64_t row_end, at::Devi
 
 namespace {
 
-/// Directions of the samples, repeated from their rays: [S,3].
+/// Directions of the samples, copied from their rays: [S,3].
 Tensor sample_directions(const Rays& rays, const Tensor& ray_begin, int64_t samples) {
   Tensor out = at::empty({samples, 3}, rays.directions.options());
   const RepeatDirection body = {rays.directions.const_data_ptr<float>(),
@@ -125,8 +130,8 @@ Tensor sample_directions(const Rays& rays, const Tensor& ray_begin, int64_t samp
 
 constexpr double kVisible = 1e-3;  ///< samples behind this transmittance are not shaded
 
-/// Densities of the samples that can be seen, without gradient: in rounds of a few samples a ray,
-/// each only for the rays that are still transparent. The rest stay 0.
+/// Densities of the samples that can be seen, without gradient. Each round evaluates a few samples
+/// per ray, only for rays that are still transparent. The other samples keep density 0.
 Tensor visible_densities(const RadianceField& f, const RaySamples& samples, int64_t* evaluated) {
   constexpr int64_t kRound = 16;
   const int64_t rays = samples.ray_begin.size(0) - 1;
@@ -161,7 +166,8 @@ Tensor render_rays(const RadianceField& f, const Rays& rays, const Tensor& jitte
   RaySamples samples = march_rays(rays.origins, rays.directions, f.occupied, jitter, step, kNear);
   int64_t evaluated = 0;
   {
-    // Drop what is hidden before anything is differentiated: most samples inside the object.
+    // Drop hidden samples before the differentiable part: most samples inside the object are
+    // hidden.
     at::NoGradGuard guard;
     const Tensor densities = visible_densities(f, samples, &evaluated);
     const auto [kept, begin] =
@@ -170,7 +176,7 @@ Tensor render_rays(const RadianceField& f, const Rays& rays, const Tensor& jitte
                begin};
   }
   const int64_t count = samples.points.size(0);
-  // A density without gradient costs about a sixth of a sample that is shaded and differentiated.
+  // A density without gradient costs about a sixth of a sample with colour and gradients.
   if (cost) *cost = count + evaluated / 6;
   const Tensor densities = f.density(samples.points);
   Tensor specular;
@@ -181,11 +187,12 @@ Tensor render_rays(const RadianceField& f, const Rays& rays, const Tensor& jitte
   return composite(densities, colors, samples.steps, samples.ray_begin);
 }
 
-Tensor visual_hull(const std::vector<View>& views, int64_t size) {
+Tensor visual_hull(const std::vector<capture::View>& views, int64_t size) {
   std::vector<Tensor> masks;
-  for (const View& view : views) masks.push_back(dilated_mask(view, size));
+  for (const capture::View& view : views) masks.push_back(dilated_mask(view, size));
   std::vector<std::array<double, 16>> world_to_camera;
-  for (const View& view : views) world_to_camera.push_back(world_to_clip(view.camera, 0.01, 100));
+  for (const capture::View& view : views)
+    world_to_camera.push_back(scene::world_to_clip(view.camera, 0.01, 100));
   Tensor hull = at::zeros({size, size, size}, at::kByte);
   auto* out = hull.mutable_data_ptr<uint8_t>();
   for_each_index(size * size * size, [&](int64_t i) {
@@ -201,7 +208,7 @@ Tensor visual_hull(const std::vector<View>& views, int64_t size) {
       for (int k = 0; k < 4; ++k)
         q[k] = m[4 * k] * p[0] + m[4 * k + 1] * p[1] + m[4 * k + 2] * p[2] + m[4 * k + 3];
       if (q[3] <= 0) continue;
-      const Camera& camera = views[v].camera;
+      const scene::Camera& camera = views[v].camera;
       const double x = (q[0] / q[3] + 1) * 0.5 * camera.width;
       const double y = (1 - q[1] / q[3]) * 0.5 * camera.height;
       if (x < 0 || y < 0 || x >= camera.width || y >= camera.height) continue;

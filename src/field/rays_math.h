@@ -6,11 +6,12 @@
 #include "tt3d/kernel.h"
 #include "tt3d/philox.h"
 
-/// Bodies that make rays and points to ask: one item.
+/// Bodies that make rays and the points where the density is evaluated: one item each.
 namespace tt3d::field {
 
-/// A camera as numbers on the device: camera_to_world (row-major, 12), fx, fy, cx, cy, width, and
-/// the number of its picture's first pixel among all pictures'. Doubles hold the integers exactly.
+/// Length of a camera's record on the device: camera_to_world (row-major, 12), fx, fy, cx, cy,
+/// width, and the index of its picture's first pixel among all pictures. A double holds these
+/// integers exactly.
 inline constexpr int64_t kCameraNumbers = 18;
 
 /// The ray through the point (column, row) of the image plane, in pixels.
@@ -30,10 +31,10 @@ TT3D_HD void pixel_ray(const double* camera, double column, double row, float or
   }
 }
 
-/// Ray r through a random pixel of the pool, and the pixel's target.
+/// Body: ray r through a random pixel of the pool, and the pixel's target.
 struct DrawRay {
   RandomKey key;
-  const int64_t* pixels;      ///< row-major numbers inside their picture, views one after the other
+  const int64_t* pixels;      ///< row-major indices within the picture, view after view
   const int64_t* view_begin;  ///< [views + 1] into pixels
   int64_t views;
   const double* cameras;  ///< [views, kCameraNumbers]
@@ -62,7 +63,7 @@ struct DrawRay {
   }
 };
 
-/// Ray i of the rows of a picture that begin at row_begin.
+/// Body: ray i of the rows of a picture from row_begin on.
 struct RowRay {
   double camera[kCameraNumbers];
   int64_t row_begin;
@@ -75,10 +76,10 @@ struct RowRay {
   }
 };
 
-/// A random point of a cell of the occupancy grid over [-1,1]^3.
+/// Body: a random point of a cell of the occupancy grid over [-1,1]^3.
 struct CellPoint {
   RandomKey key;
-  const int64_t* cells;  ///< numbers over (z,y,x)
+  const int64_t* cells;  ///< flat indices over (z,y,x)
   int64_t size;
   float* points;
   TT3D_HD void operator()(int64_t i) const {

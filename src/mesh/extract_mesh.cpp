@@ -4,13 +4,15 @@
 
 #include "tt3d/device.h"
 #include "tt3d/mesh.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::mesh {
 namespace {
 
 using at::Tensor;
 
-/// Whether each grid point lies in or beside an occupied cell: elsewhere the density is not asked.
+/// Whether each grid point lies in an occupied cell or next to one. The density is evaluated only
+/// there.
 Tensor candidate_points(const Tensor& occupied, int64_t resolution) {
   const int64_t cells = occupied.size(0);
   const Tensor wide = at::max_pool3d(occupied.to(at::kFloat).unsqueeze(0).unsqueeze(0), {3, 3, 3},
@@ -44,9 +46,10 @@ Tensor grid_positions(const Tensor& index, int64_t resolution) {
   return points;
 }
 
-/// log(density / iso) at the grid points, bounded, smoothed by binomial passes: the density
-/// spans many decades, and noise of one cell makes handles that nothing later removes.
-Tensor log_density_grid(const RadianceField& f, const MeshOptions& options, Progress& progress) {
+/// log(density / iso) at the grid points, clamped, and smoothed by binomial filters. The density
+/// spans many decades, and noise of a single cell would make handles that no later step removes.
+Tensor log_density_grid(const field::RadianceField& f, const MeshOptions& options,
+                        Progress& progress) {
   at::NoGradGuard guard;
   const int64_t g = options.resolution;
   const Tensor index = candidate_points(f.occupied.cpu(), g).nonzero().flatten();
@@ -78,12 +81,13 @@ Tensor log_density_grid(const RadianceField& f, const MeshOptions& options, Prog
 
 }  // namespace
 
-TriMesh extract_mesh(const RadianceField& field, const MeshOptions& options, Progress& progress) {
+scene::TriMesh extract_mesh(const field::RadianceField& field, const MeshOptions& options,
+                            Progress& progress) {
   const Tensor values = log_density_grid(field, options, progress);
   fill_cavities(values, options.close_gaps);
-  TriMesh mesh = marching_cubes(values);
+  scene::TriMesh mesh = marching_cubes(values);
   if (mesh.faces.size(0) == 0) {
-    throw InputError("the field holds nothing solid: no surface at density " +
+    throw InputError("the field contains nothing solid: no surface at density " +
                      std::to_string(options.iso) +
                      "; train longer (field.steps) or lower mesh.iso");
   }
@@ -92,4 +96,4 @@ TriMesh extract_mesh(const RadianceField& field, const MeshOptions& options, Pro
   return drop_small_components(mesh, options.min_component);
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::mesh

@@ -6,11 +6,12 @@
 #include <vector>
 
 #include "tt3d/mesh.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::mesh {
 namespace {
 
-// Corner c of a cube sits at (c & 1, (c >> 1) & 1, (c >> 2) & 1).
+// Corner c of a cube is at (c & 1, (c >> 1) & 1, (c >> 2) & 1).
 struct CubeEdge {
   int a, b, axis;
 };
@@ -27,12 +28,12 @@ std::array<CubeEdge, 12> cube_edges() {
   return edges;
 }
 
-/// The 6 faces, corners counter-clockwise seen from outside.
+/// The 6 faces, with their corners counter-clockwise seen from outside.
 constexpr int kFaces[6][4] = {{0, 4, 6, 2}, {1, 3, 7, 5}, {0, 1, 5, 4},
                               {2, 6, 7, 3}, {0, 2, 3, 1}, {4, 5, 7, 6}};
 
-/// A polygon of the surface inside one cube: the cube edges its corners lie on. `hub` marks one
-/// that needs a vertex of its own in the middle.
+/// A polygon of the surface inside a cube, as the list of cube edges that hold its corners. `hub`
+/// marks a polygon that needs an additional vertex in its middle.
 struct Polygon {
   std::vector<int> edges;
   bool hub = false;
@@ -67,9 +68,9 @@ class CaseTable {
     return false;
   }
 
-  /// Follows the directed segments that the surface leaves on the cube's faces. On each face a run
-  /// of inside corners is cut off by one segment, so that an ambiguous face separates its inside
-  /// corners, from whichever cube it is seen.
+  /// Follows the directed segments where the surface meets the cube's faces. On each face, one
+  /// segment cuts off each run of inside corners. An ambiguous face thus separates its inside
+  /// corners, in the same way for both of its cubes.
   [[nodiscard]] std::vector<Polygon> polygons_of(int mask) const {
     std::array<int, 12> next{};
     next.fill(-1);
@@ -77,7 +78,7 @@ class CaseTable {
       for (int k = 0; k < 4; ++k) {
         const bool in = (mask >> face[k]) & 1, before = (mask >> face[(k + 3) % 4]) & 1;
         if (!in || before) continue;
-        int last = k;  // walk the run of inside corners that starts at k
+        int last = k;  // follow the run of inside corners that starts at k
         while ((mask >> face[(last + 1) % 4]) & 1) last = (last + 1) % 4;
         const int entry = edge_between(face[(k + 3) % 4], face[k]);
         const int leave = edge_between(face[last], face[(last + 1) % 4]);
@@ -100,8 +101,8 @@ class CaseTable {
     return polygons;
   }
 
-  /// Rotates the polygon so that its fan's diagonals stay off the cube's faces, where they could
-  /// meet a neighbour's; a polygon without such a corner gets a hub.
+  /// Rotates the polygon so that the diagonals of its fan do not lie on the cube's faces, where
+  /// they could meet those of a neighbouring cube. A polygon without such a corner gets a hub.
   void choose_fan(Polygon& polygon) const {
     const size_t n = polygon.edges.size();
     for (size_t root = 0; root < n; ++root) {
@@ -121,14 +122,14 @@ class CaseTable {
   std::array<std::vector<Polygon>, 256> cases_;
 };
 
-/// Walks the cubes of the padded grid and collects vertices and faces.
+/// Visits the cubes of the padded grid and collects vertices and faces.
 class Marcher {
  public:
   explicit Marcher(const at::Tensor& values)
       : size_(values.size(0)), values_(values.const_data_ptr<float>()) {}
 
-  TriMesh run() {
-    // One ring of cubes beyond the grid closes what touches its border.
+  scene::TriMesh run() {
+    // One layer of cubes beyond the grid closes surfaces that touch its border.
     for (int64_t z = -1; z < size_; ++z) {
       for (int64_t y = -1; y < size_; ++y) {
         for (int64_t x = -1; x < size_; ++x) visit(x, y, z);
@@ -191,7 +192,7 @@ class Marcher {
     const int64_t key = (((base[2] + 1) * side + base[1] + 1) * side + base[0] + 1) * 3 + edge.axis;
     const auto [found, fresh] = index_.try_emplace(key, 0);
     if (!fresh) return found->second;
-    // Off the corners, so that no triangle has zero area.
+    // Away from the corners, so that no triangle has zero area.
     constexpr float kMargin = 0.02F;
     const float share = corner[edge.a] / (corner[edge.a] - corner[edge.b]);
     const float t = std::clamp(share, kMargin, 1 - kMargin);
@@ -213,7 +214,7 @@ class Marcher {
 
 }  // namespace
 
-TriMesh marching_cubes(const at::Tensor& values) {
+scene::TriMesh marching_cubes(const at::Tensor& values) {
   TORCH_CHECK(values.dim() == 3 && values.size(0) == values.size(1) &&
                   values.size(1) == values.size(2) && values.size(0) >= 2,
               "values must be [G,G,G]");
@@ -223,8 +224,8 @@ TriMesh marching_cubes(const at::Tensor& values) {
 
 namespace {
 
-/// Cells of a flag grid [G,G,G] (bool) within `radius` of a set one, along each axis.
-at::Tensor grown(const at::Tensor& flags, int64_t radius) {
+/// Dilation of a flag grid [G,G,G] (bool) by `radius` cells along each axis.
+at::Tensor dilated(const at::Tensor& flags, int64_t radius) {
   if (radius == 0) return flags;
   const int64_t width = 2 * radius + 1;
   return at::max_pool3d(flags.to(at::kFloat).unsqueeze(0), {width, width, width}, {1, 1, 1},
@@ -232,8 +233,8 @@ at::Tensor grown(const at::Tensor& flags, int64_t radius) {
              .squeeze(0) > 0;
 }
 
-/// What a flood from the grid's border through the points of `open` [G,G,G] (bool) reaches.
-at::Tensor reached_from_border(const at::Tensor& open) {
+/// Flood fill from the grid's border through the points where `open` [G,G,G] (bool) is set.
+at::Tensor flooded_from_border(const at::Tensor& open) {
   const int64_t size = open.size(0);
   const at::Tensor dense = open.contiguous();
   const bool* free = dense.const_data_ptr<bool>();
@@ -272,9 +273,10 @@ at::Tensor reached_from_border(const at::Tensor& open) {
 
 void fill_cavities(const at::Tensor& values, int64_t radius) {
   const at::Tensor solid = values > 0;
-  // Where a cube of the radius fits, flooded from the border, and all that such cubes cover.
-  const at::Tensor outside = grown(reached_from_border(grown(solid, radius).logical_not()), radius);
+  // Cubes of this radius that fit outside and connect to the border, and the space that they cover.
+  const at::Tensor outside =
+      dilated(flooded_from_border(dilated(solid, radius).logical_not()), radius);
   values.masked_fill_(outside.logical_or(solid).logical_not(), 1.0F);
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::mesh

@@ -1,6 +1,5 @@
 #include "nearest_math.h"
 #include "neighbor_math.h"
-#include "project_math.h"
 #include "tt3d/cuda.h"
 
 namespace tt3d {
@@ -10,9 +9,5 @@ template void for_each_index(const Cuda&, int64_t, const mesh::NeighborDifferenc
 template void for_each_index(const Cuda&, int64_t, const mesh::NeighborDifferences<double>&);
 template void for_each_index(const Cuda&, int64_t, const mesh::NeighborDistances<float>&);
 template void for_each_index(const Cuda&, int64_t, const mesh::NeighborDistances<double>&);
-template void for_each_index(const Cuda&, int64_t, const mesh::ProjectVertex<float>&);
-template void for_each_index(const Cuda&, int64_t, const mesh::ProjectVertex<double>&);
-template void for_each_index(const Cuda&, int64_t, const mesh::ProjectBackwardVertex<float>&);
-template void for_each_index(const Cuda&, int64_t, const mesh::ProjectBackwardVertex<double>&);
 
 }  // namespace tt3d

@@ -5,15 +5,16 @@
 
 #include "tt3d/kernel.h"
 
-/// Body of the nearest point on the GPU: one query against all points. The CPU walks a tree.
+/// Body of the nearest point search on the GPU: compares one query with all points. The CPU uses a
+/// k-d tree.
 namespace tt3d::mesh {
 
 struct NearestPoint {
   const float* queries;  ///< [Q,3]
   const float* points;   ///< [count,3]
   int64_t count;
-  const bool* own;  ///< [Q] queries whose nearest point is known to have their own number
-  int64_t* index;   ///< [Q] out; of equally near points the first
+  const bool* own;  ///< [Q] true if the nearest point is known to have the query's own index
+  int64_t* index;   ///< [Q] out; among equally near points the first
   TT3D_HD void operator()(int64_t i) const {
     int64_t found = i;
     float nearest = INFINITY;

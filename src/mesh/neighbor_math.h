@@ -4,19 +4,19 @@
 
 #include "tt3d/kernel.h"
 
-/// Bodies over a vertex and its neighbours, a vertex an item: sums in a fixed order, no atomics.
+/// Bodies over a vertex and its neighbours, one vertex per item: sums in a fixed order, no atomics.
 namespace tt3d::mesh {
 
-/// Each vertex's neighbours as lists one after another.
+/// The vertices' neighbour lists, stored one after another.
 template <typename T>
 struct NeighborLists {
   const int64_t* begin;   ///< [V+1]
   const int32_t* vertex;  ///< [2 E]
-  const T* weight;        ///< [2 E], the same from both ends; null: all 1
+  const T* weight;        ///< [2 E], equal in both directions; null: all 1
   TT3D_HD T weight_of(int64_t k) const { return weight ? weight[k] : T(1); }
 };
 
-/// out[v] = sum over neighbours n of w (x[v] - x[n]): the graph's Laplacian, which is symmetric.
+/// out[v] = sum over neighbours n of w (x[v] - x[n]): the graph Laplacian, which is symmetric.
 template <typename T>
 struct NeighborDifferences {
   NeighborLists<T> lists;
@@ -32,7 +32,7 @@ struct NeighborDifferences {
   }
 };
 
-/// out[v] = sum over neighbours n of |x[v] - x[n]|^2, weights aside.
+/// out[v] = sum over neighbours n of |x[v] - x[n]|^2, without weights.
 template <typename T>
 struct NeighborDistances {
   NeighborLists<T> lists;

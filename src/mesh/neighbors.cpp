@@ -35,7 +35,7 @@ Tensor differences(const Tensor& x_in, const Neighbors& n, bool weighted) {
   return out;
 }
 
-/// What backward needs beside tensors.
+/// Data for the backward pass besides tensors.
 struct HeldNeighbors : torch::CustomClassHolder {
   explicit HeldNeighbors(Held held) : neighbors(std::move(held)) {}
   Held neighbors;
@@ -73,7 +73,7 @@ struct MeanSquaredEdge : public Function<MeanSquaredEdge> {
                                                 squares.mutable_data_ptr<scalar_t>()};
       for_each_index_on(x, x.size(0), body);
     });
-    return squares.sum() / static_cast<double>(2 * neighbors->edges());  // each has two ends
+    return squares.sum() / static_cast<double>(2 * neighbors->edges());  // each is counted twice
   }
   static variable_list backward(AutogradContext* ctx, const variable_list& grads) {
     const Held neighbors = held_by(ctx);
@@ -86,7 +86,7 @@ struct MeanSquaredEdge : public Function<MeanSquaredEdge> {
 
 Neighbors::Neighbors(const Tensor& edges, const Tensor& weights, int64_t vertices,
                      const at::TensorOptions& like) {
-  // Both directions of every edge, in the order of the vertices they leave, then of the edges.
+  // Both directions of every edge, ordered by start vertex, then by edge.
   const Tensor from = at::cat({edges.select(1, 0), edges.select(1, 1)});
   const Tensor to = at::cat({edges.select(1, 1), edges.select(1, 0)});
   const Tensor order = at::argsort(from, /*stable=*/true, 0, false);

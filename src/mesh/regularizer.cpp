@@ -8,13 +8,14 @@
 #include "topology.h"
 #include "tt3d/device.h"
 #include "tt3d/mesh.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::mesh {
 namespace {
 
 using at::Tensor;
 
-/// nanoflann's view of [V,3] float points.
+/// nanoflann's adaptor for [V,3] float points.
 struct Cloud {
   const float* p;
   size_t n;
@@ -30,7 +31,7 @@ using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<fl
 
 }  // namespace
 
-/// Rest places [V,3] on the host, ready for searches.
+/// The rest positions [V,3] on the host, in a k-d tree.
 struct MeshRegularizer::RestTree {
   explicit RestTree(const Tensor& rest)
       : points(rest.cpu().to(at::kFloat).contiguous()),
@@ -39,7 +40,7 @@ struct MeshRegularizer::RestTree {
   RestTree(const RestTree&) = delete;
   RestTree& operator=(const RestTree&) = delete;
 
-  /// The nearest rest place, and the distance to the `rank`-th nearest (0 the nearest).
+  /// The nearest rest position, and the distance to the `rank`-th nearest (0: the nearest).
   [[nodiscard]] std::pair<int64_t, float> nearest(const float* query, size_t rank) const {
     int64_t found[2] = {0, 0};
     float squared[2] = {0, 0};
@@ -59,9 +60,9 @@ float squared_distance(const float* a, const float* b) {
   return x * x + y * y + z * z;
 }
 
-/// For each query that has not its own number: find(i) gives the number. [Q] int64.
+/// For each query: find(i), or its own index if `own` says so. [Q] int64.
 template <typename Find>
-Tensor numbers(const Tensor& own, const Find& find) {
+Tensor nearest_indices(const Tensor& own, const Find& find) {
   Tensor index = at::arange(own.size(0), at::kLong);
   auto* out = index.mutable_data_ptr<int64_t>();
   const auto* known = own.const_data_ptr<bool>();
@@ -71,8 +72,8 @@ Tensor numbers(const Tensor& own, const Find& find) {
   return index;
 }
 
-/// The same on the GPU, by trying all points.
-Tensor numbers_by_trying(const Tensor& queries, const Tensor& points, const Tensor& own) {
+/// The same on the GPU, by comparison with all points.
+Tensor nearest_by_comparison(const Tensor& queries, const Tensor& points, const Tensor& own) {
   const Tensor index = at::empty({queries.size(0)}, queries.options().dtype(at::kLong));
   for_each_index_on(
       queries, queries.size(0),
@@ -82,8 +83,8 @@ Tensor numbers_by_trying(const Tensor& queries, const Tensor& points, const Tens
   return index;
 }
 
-/// Keys of the undirected edges, each once, in order.
-std::vector<uint64_t> edge_keys(const TriMesh& m) {
+/// Keys of the undirected edges, each once, sorted.
+std::vector<uint64_t> edge_keys(const scene::TriMesh& m) {
   std::vector<uint64_t> keys;
   for (const mesh::Face& f : mesh::faces_of(m)) {
     for (int k = 0; k < 3; ++k) keys.push_back(mesh::edge_key(f[k], f[(k + 1) % 3]));
@@ -93,7 +94,7 @@ std::vector<uint64_t> edge_keys(const TriMesh& m) {
   return keys;
 }
 
-/// Their vertices, [E,2] int64.
+/// The edges' vertices, [E,2] int64.
 Tensor edge_vertices(const std::vector<uint64_t>& keys) {
   Tensor edges = at::empty({static_cast<int64_t>(keys.size()), 2}, at::kLong);
   auto* p = edges.mutable_data_ptr<int64_t>();
@@ -104,7 +105,7 @@ Tensor edge_vertices(const std::vector<uint64_t>& keys) {
   return edges;
 }
 
-/// Half the cotangent of the angle at corner k of a face; huge for a needle, by its sign.
+/// Half the cotangent of the angle at corner k of a face; huge for a degenerate one, with its sign.
 double half_cotangent(const std::vector<mesh::Point>& points, const mesh::Face& f, int k) {
   const mesh::Point &o = points[f[k]], &a = points[f[(k + 1) % 3]], &b = points[f[(k + 2) % 3]];
   double dot = 0, aa = 0, bb = 0;
@@ -118,9 +119,9 @@ double half_cotangent(const std::vector<mesh::Point>& points, const mesh::Face& 
   return 0.5 * dot / std::max(sine, 1e-30);
 }
 
-/// Cotangent weights of the edges [E] float64, in their order.
-Tensor cotangent_weights(const TriMesh& m, const std::vector<uint64_t>& keys) {
-  constexpr double kLeast = 1e-4, kMost = 1e2;  // obtuse pairs and needles
+/// Cotangent weights [E] float64, in the order of `keys`.
+Tensor cotangent_weights(const scene::TriMesh& m, const std::vector<uint64_t>& keys) {
+  constexpr double kLeast = 1e-4, kMost = 1e2;  // bounds for obtuse and degenerate triangles
   std::vector<double> sums(keys.size(), 0.0);
   const auto points = mesh::points_of(m);
   for (const mesh::Face& f : mesh::faces_of(m)) {
@@ -135,7 +136,7 @@ Tensor cotangent_weights(const TriMesh& m, const std::vector<uint64_t>& keys) {
 
 }  // namespace
 
-MeshRegularizer::MeshRegularizer(const TriMesh& rest, LaplacianWeights weights)
+MeshRegularizer::MeshRegularizer(const scene::TriMesh& rest, LaplacianWeights weights)
     : rest_(rest.vertices.detach().contiguous()) {
   const auto keys = edge_keys(rest);
   const Tensor edges = edge_vertices(keys);
@@ -158,31 +159,36 @@ MeshRegularizer::MeshRegularizer(const TriMesh& rest, LaplacianWeights weights)
   spacing_ = spacing.to(rest_.options());
 }
 
-/// The rest place nearest to each moved vertex, and the other way round: [V] int64 each.
+/// The nearest rest position of each moved vertex, and the nearest moved vertex of each rest
+/// position: [V] int64 each.
 std::pair<Tensor, Tensor> MeshRegularizer::nearest_both_ways(const Tensor& moved,
                                                              const Tensor& offset) const {
-  // A vertex that moved less than half its spacing has its own rest place as the nearest; a rest
-  // place whose spacing exceeds its own move and the largest one has its own vertex nearest.
-  const Tensor furthest = offset.max();
-  const Tensor stays = offset * 2 < spacing_, is_left = offset + furthest < spacing_;
+  // If a vertex moved less than half its spacing, its own rest position is the nearest. If the
+  // spacing of a rest position exceeds its own vertex's move plus the largest move, its own vertex
+  // is the nearest.
+  const Tensor largest_offset = offset.max();
+  const Tensor rest_known = offset * 2 < spacing_,
+               vertex_known = offset + largest_offset < spacing_;
   if (!moved.is_cpu()) {
-    return {numbers_by_trying(moved, rest_, stays), numbers_by_trying(rest_, moved, is_left)};
+    return {nearest_by_comparison(moved, rest_, rest_known),
+            nearest_by_comparison(rest_, moved, vertex_known)};
   }
-  const Tensor places = moved.to(at::kFloat), ways = offset.to(at::kFloat);
-  const float *place = places.const_data_ptr<float>(), *way = ways.const_data_ptr<float>();
-  const float most = furthest.item<float>();
-  const Tensor to_rest =
-      numbers(stays, [&](int64_t i) { return tree_->nearest(place + 3 * i, 0).first; });
+  const Tensor positions = moved.to(at::kFloat), offsets = offset.to(at::kFloat);
+  const float *position = positions.const_data_ptr<float>(),
+              *moved_by = offsets.const_data_ptr<float>();
+  const float largest = largest_offset.item<float>();
+  const Tensor to_rest = nearest_indices(
+      rest_known, [&](int64_t i) { return tree_->nearest(position + 3 * i, 0).first; });
   const float* rest = tree_->points.const_data_ptr<float>();
-  const Tensor to_vertex = numbers(is_left, [&](int64_t i) {
-    // Nothing is nearer than its own vertex but what rests within both moves of here.
-    const float radius = (way[i] + most) * 1.0001F;
-    thread_local std::vector<std::pair<int64_t, float>> around;  // its memory serves the next one
+  const Tensor to_vertex = nearest_indices(vertex_known, [&](int64_t i) {
+    // A vertex that is nearer must have its rest position within the sum of both moves.
+    const float radius = (moved_by[i] + largest) * 1.0001F;
+    thread_local std::vector<std::pair<int64_t, float>> around;  // reuses its memory
     tree_->tree.radiusSearch(rest + 3 * i, radius * radius, around, nanoflann::SearchParams());
     int64_t found = i;
-    float least = squared_distance(place + 3 * i, rest + 3 * i);
+    float least = squared_distance(position + 3 * i, rest + 3 * i);
     for (const auto& [vertex, unused] : around) {
-      const float squared = squared_distance(place + 3 * vertex, rest + 3 * i);
+      const float squared = squared_distance(position + 3 * vertex, rest + 3 * i);
       if (squared < least) {
         least = squared;
         found = vertex;
@@ -209,4 +215,4 @@ Tensor MeshRegularizer::chamfer(const Tensor& vertices) const {
          (vertices.index_select(0, to_vertex) - rest_).square().sum(1).mean();
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::mesh

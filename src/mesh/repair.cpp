@@ -8,15 +8,12 @@
 
 #include "topology.h"
 #include "tt3d/mesh.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::mesh {
 namespace {
 
-using mesh::Face;
-using mesh::Point;
-using mesh::UnionFind;
-
-/// Side k of a face: its directed edge f[k] -> f[k+1].
+/// Side k of a face: the directed edge from its vertex k to the next.
 struct Side {
   int32_t face;
   int k;
@@ -36,8 +33,8 @@ EdgeSides sides_by_edge(const std::vector<Face>& faces) {
   return sides;
 }
 
-/// Faces with the same three vertices: of opposite orientation they cancel, of the same
-/// orientation one stays. Null faces go.
+/// Removes duplicates: of faces with the same three vertices, opposite orientations cancel, and one
+/// of several with the same orientation stays. Removes degenerate faces.
 std::vector<Face> without_doubles(const std::vector<Face>& faces) {
   struct Count {
     int even = 0, odd = 0;
@@ -74,7 +71,7 @@ std::vector<Face> without_doubles(const std::vector<Face>& faces) {
   return kept;
 }
 
-/// Angle of a face around the directed edge a -> b, against an arbitrary fixed direction.
+/// Angle of a face around the directed edge a -> b, relative to an arbitrary fixed direction.
 double angle_around(const Point& a, const Point& b, const Point& p) {
   double axis[3], up[3], to[3], norm = 0;
   for (int k = 0; k < 3; ++k) axis[k] = double(b[k]) - a[k];
@@ -96,8 +93,9 @@ double angle_around(const Point& a, const Point& b, const Point& p) {
   return std::atan2(y, x);
 }
 
-/// Pairs the sides at an edge of more than two faces: going around the edge, a face along it and
-/// the next one against it enclose solid between them, and stay together.
+/// Pairs the sides at an edge with more than two faces. In order around the edge, a face with
+/// direction a -> b and the next one with direction b -> a enclose solid space; these two stay
+/// connected.
 std::vector<std::pair<Side, Side>> pair_sides(const std::vector<Side>& sides,
                                               const std::vector<Face>& faces,
                                               const std::vector<Point>& points) {
@@ -118,7 +116,7 @@ std::vector<std::pair<Side, Side>> pair_sides(const std::vector<Side>& sides,
             [](const Around& x, const Around& y) { return x.angle < y.angle; });
   std::vector<std::pair<Side, Side>> pairs;
   std::vector<uint8_t> taken(order.size(), 0);
-  // Repeatedly take neighbours of opposite direction, the inside lying between them.
+  // Repeatedly pair neighbours of opposite direction with the inside between them.
   for (size_t round = 0; round < order.size(); ++round) {
     for (size_t i = 0; i < order.size(); ++i) {
       if (taken[i] || !order[i].forward) continue;
@@ -132,13 +130,14 @@ std::vector<std::pair<Side, Side>> pair_sides(const std::vector<Side>& sides,
   return pairs;
 }
 
-/// Gives every fan of faces around a vertex its own copy of it, fans being joined only across
-/// paired sides. Edges of more than two faces come apart unless both ends stay joined elsewhere.
+/// Gives every fan of faces around a vertex its own copy of the vertex. Faces belong to one fan if
+/// paired sides connect them. This separates the faces at an edge with more than two of them,
+/// unless both ends stay connected elsewhere.
 bool split_fans(std::vector<Point>& points, std::vector<Face>& faces) {
   const EdgeSides sides = sides_by_edge(faces);
   UnionFind corners(faces.size() * 3);
   const auto join = [&](const Side& s, const Side& t) {
-    // Side s runs f[k] -> f[k+1]; its partner runs the other way.
+    // Side s runs f[k] -> f[k+1]; its partner runs the opposite way.
     corners.join(s.face * 3 + s.k, t.face * 3 + (t.k + 1) % 3);
     corners.join(s.face * 3 + (s.k + 1) % 3, t.face * 3 + t.k);
   };
@@ -170,7 +169,8 @@ bool split_fans(std::vector<Point>& points, std::vector<Face>& faces) {
   return changed;
 }
 
-/// An edge whose faces could not come apart at its ends: each pair but one gets a middle vertex.
+/// Handles edges that split_fans could not separate: each pair of sides but one gets a vertex in
+/// the middle of the edge.
 bool split_edges(std::vector<Point>& points, std::vector<Face>& faces) {
   std::vector<std::pair<Side, Side>> to_split;
   std::vector<uint8_t> touched(faces.size(), 0);
@@ -202,7 +202,7 @@ bool split_edges(std::vector<Point>& points, std::vector<Face>& faces) {
 
 }  // namespace
 
-TriMesh repair(const TriMesh& m) {
+scene::TriMesh repair(const scene::TriMesh& m) {
   auto points = mesh::points_of(m);
   auto faces = without_doubles(mesh::faces_of(m));
   constexpr int kMaxRounds = 8;
@@ -213,10 +213,11 @@ TriMesh repair(const TriMesh& m) {
   return mesh::compact(points, faces);
 }
 
-TriMesh close_holes(const TriMesh& m) {
+scene::TriMesh close_holes(const scene::TriMesh& m) {
   auto points = mesh::points_of(m);
   auto faces = mesh::faces_of(m);
-  // A hole's rim runs against its faces' free sides: next vertex by vertex.
+  // A hole's boundary has the opposite direction of the free sides; `next` maps each of its
+  // vertices to the following one.
   std::map<int32_t, int32_t> next;
   for (const auto& [key, list] : sides_by_edge(faces)) {
     if (list.size() != 1) continue;
@@ -249,4 +250,4 @@ TriMesh close_holes(const TriMesh& m) {
   return repair(mesh::make_mesh(points, faces));
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::mesh

@@ -7,12 +7,10 @@
 
 #include "topology.h"
 #include "tt3d/mesh.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::mesh {
 namespace {
-
-using mesh::Face;
-using mesh::Point;
 
 std::vector<Face> simplified_faces(const std::vector<Point>& points, const std::vector<Face>& faces,
                                    size_t target_faces, unsigned int options) {
@@ -21,7 +19,7 @@ std::vector<Face> simplified_faces(const std::vector<Point>& points, const std::
     for (const int32_t v : f) indices.push_back(static_cast<unsigned int>(v));
   }
   std::vector<unsigned int> out(indices.size());
-  constexpr float kAnyError = 1.0F;  // the count decides
+  constexpr float kAnyError = 1.0F;  // only the count limits the simplification
   const size_t count =
       meshopt_simplify(out.data(), indices.data(), indices.size(), points[0].data(), points.size(),
                        sizeof(Point), target_faces * 3, kAnyError, options, nullptr);
@@ -33,7 +31,7 @@ std::vector<Face> simplified_faces(const std::vector<Point>& points, const std::
   return result;
 }
 
-/// Both parts of a selection.
+/// The selected faces, and the others.
 std::pair<std::vector<Face>, std::vector<Face>> partition(const std::vector<Face>& faces,
                                                           const at::Tensor& selected) {
   const at::Tensor dense = selected.cpu().to(at::kBool).contiguous();
@@ -47,74 +45,88 @@ std::pair<std::vector<Face>, std::vector<Face>> partition(const std::vector<Face
 
 }  // namespace
 
-TriMesh simplify(const TriMesh& m, int64_t target_faces) {
-  const auto points = mesh::points_of(m);
-  const auto faces = mesh::faces_of(m);
+scene::TriMesh simplify(const scene::TriMesh& m, int64_t target_faces) {
+  const auto points = points_of(m);
+  const auto faces = faces_of(m);
   if (static_cast<int64_t>(faces.size()) <= target_faces) return m;
-  return close_holes(repair(mesh::make_mesh(
-      points, simplified_faces(points, faces, static_cast<size_t>(target_faces), 0))));
+  return close_holes(repair(
+      make_mesh(points, simplified_faces(points, faces, static_cast<size_t>(target_faces), 0))));
 }
 
-TriMesh decimate(const TriMesh& m, const at::Tensor& selected, double ratio) {
-  const auto points = mesh::points_of(m);
-  auto [chosen, kept] = partition(mesh::faces_of(m), selected);
+scene::TriMesh decimate(const scene::TriMesh& m, const at::Tensor& selected, double ratio) {
+  const auto points = points_of(m);
+  auto [chosen, kept] = partition(faces_of(m), selected);
   if (chosen.empty()) return m;
   const auto target = static_cast<size_t>(static_cast<double>(chosen.size()) * ratio);
   const auto thinned = simplified_faces(points, chosen, target, meshopt_SimplifyLockBorder);
   kept.insert(kept.end(), thinned.begin(), thinned.end());
-  return close_holes(repair(mesh::make_mesh(points, kept)));
+  return close_holes(repair(make_mesh(points, kept)));
 }
 
-TriMesh subdivide(const TriMesh& m, const at::Tensor& selected, double min_edge) {
-  auto points = mesh::points_of(m);
-  const auto faces = mesh::faces_of(m);
-  const auto length = [&](int32_t a, int32_t b) {
-    return std::hypot(points[a][0] - points[b][0], points[a][1] - points[b][1],
-                      points[a][2] - points[b][2]);
-  };
-  // Middles of the selected faces' long edges.
-  std::unordered_map<uint64_t, int32_t> middle;
-  for (const Face& f : partition(faces, selected).first) {
+namespace {
+
+/// A vertex in the middle of each edge that is split, by edge_key.
+using Midpoints = std::unordered_map<uint64_t, int32_t>;
+
+/// Adds midpoints of the selected faces' edges of at least 2 * min_edge to `points`.
+Midpoints add_midpoints(const std::vector<Face>& selected, double min_edge,
+                        std::vector<Point>& points) {
+  Midpoints middle;
+  for (const Face& f : selected) {
     for (int k = 0; k < 3; ++k) {
       const int32_t a = f[k], b = f[(k + 1) % 3];
-      if (static_cast<double>(length(a, b)) < 2 * min_edge) continue;
+      const float length = std::hypot(points[a][0] - points[b][0], points[a][1] - points[b][1],
+                                      points[a][2] - points[b][2]);
+      if (static_cast<double>(length) < 2 * min_edge) continue;
       const auto [found, fresh] =
-          middle.try_emplace(mesh::edge_key(a, b), static_cast<int32_t>(points.size()));
+          middle.try_emplace(edge_key(a, b), static_cast<int32_t>(points.size()));
       if (!fresh) continue;
       Point p;
       for (int i = 0; i < 3; ++i) p[i] = 0.5F * (points[a][i] + points[b][i]);
       points.push_back(p);
     }
   }
-  std::vector<Face> out;
-  for (const Face& f : faces) {
-    int32_t mid[3];
-    int count = 0;
-    for (int k = 0; k < 3; ++k) {
-      const auto found = middle.find(mesh::edge_key(f[k], f[(k + 1) % 3]));
-      mid[k] = found == middle.end() ? -1 : found->second;
-      count += mid[k] >= 0;
-    }
-    if (count == 0) {
-      out.push_back(f);
-    } else if (count == 3) {
-      out.insert(out.end(), {{f[0], mid[0], mid[2]},
-                             {f[1], mid[1], mid[0]},
-                             {f[2], mid[2], mid[1]},
-                             {mid[0], mid[1], mid[2]}});
-    } else if (count == 1) {
-      const int k = mid[0] >= 0 ? 0 : (mid[1] >= 0 ? 1 : 2);
-      const int32_t a = f[k], b = f[(k + 1) % 3], c = f[(k + 2) % 3];
-      out.insert(out.end(), {{a, mid[k], c}, {mid[k], b, c}});
-    } else {
-      // Rotate so that the whole edge is a -> b.
-      const int k = mid[0] < 0 ? 0 : (mid[1] < 0 ? 1 : 2);
-      const int32_t a = f[k], b = f[(k + 1) % 3], c = f[(k + 2) % 3];
-      const int32_t bc = mid[(k + 1) % 3], ca = mid[(k + 2) % 3];
-      out.insert(out.end(), {{a, b, bc}, {a, bc, ca}, {ca, bc, c}});
-    }
-  }
-  return mesh::make_mesh(points, out);
+  return middle;
 }
 
-}  // namespace tt3d
+/// Appends the one to four faces that a face becomes, by which of its edges are split.
+void split_face(const Face& f, const Midpoints& middle, std::vector<Face>& out) {
+  int32_t mid[3];
+  int count = 0;
+  for (int k = 0; k < 3; ++k) {
+    const auto found = middle.find(edge_key(f[k], f[(k + 1) % 3]));
+    mid[k] = found == middle.end() ? -1 : found->second;
+    count += mid[k] >= 0;
+  }
+  if (count == 0) {
+    out.push_back(f);
+  } else if (count == 3) {
+    out.insert(out.end(), {{f[0], mid[0], mid[2]},
+                           {f[1], mid[1], mid[0]},
+                           {f[2], mid[2], mid[1]},
+                           {mid[0], mid[1], mid[2]}});
+  } else if (count == 1) {
+    const int k = mid[0] >= 0 ? 0 : (mid[1] >= 0 ? 1 : 2);
+    const int32_t a = f[k], b = f[(k + 1) % 3], c = f[(k + 2) % 3];
+    out.insert(out.end(), {{a, mid[k], c}, {mid[k], b, c}});
+  } else {
+    // Rotate so that the edge without a midpoint is a -> b.
+    const int k = mid[0] < 0 ? 0 : (mid[1] < 0 ? 1 : 2);
+    const int32_t a = f[k], b = f[(k + 1) % 3], c = f[(k + 2) % 3];
+    const int32_t bc = mid[(k + 1) % 3], ca = mid[(k + 2) % 3];
+    out.insert(out.end(), {{a, b, bc}, {a, bc, ca}, {ca, bc, c}});
+  }
+}
+
+}  // namespace
+
+scene::TriMesh subdivide(const scene::TriMesh& m, const at::Tensor& selected, double min_edge) {
+  auto points = points_of(m);
+  const auto faces = faces_of(m);
+  const Midpoints middle = add_midpoints(partition(faces, selected).first, min_edge, points);
+  std::vector<Face> out;
+  for (const Face& f : faces) split_face(f, middle, out);
+  return make_mesh(points, out);
+}
+
+}  // namespace tt3d::mesh

@@ -9,19 +9,11 @@
 
 #include "topology.h"
 #include "tt3d/mesh.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::mesh {
 
-using mesh::Face;
-using mesh::UnionFind;
-
-TriMesh TriMesh::to(at::Device device) const {
-  return {vertices.detach().to(device), faces.to(device)};
-}
-
-namespace mesh {
-
-std::vector<Face> faces_of(const TriMesh& m) {
+std::vector<Face> faces_of(const scene::TriMesh& m) {
   const at::Tensor dense = m.faces.cpu().contiguous();
   const auto* p = dense.const_data_ptr<int32_t>();
   std::vector<Face> faces(static_cast<size_t>(dense.size(0)));
@@ -29,7 +21,7 @@ std::vector<Face> faces_of(const TriMesh& m) {
   return faces;
 }
 
-std::vector<Point> points_of(const TriMesh& m) {
+std::vector<Point> points_of(const scene::TriMesh& m) {
   const at::Tensor dense = m.vertices.detach().cpu().to(at::kFloat).contiguous();
   const auto* p = dense.const_data_ptr<float>();
   std::vector<Point> points(static_cast<size_t>(dense.size(0)));
@@ -37,15 +29,15 @@ std::vector<Point> points_of(const TriMesh& m) {
   return points;
 }
 
-TriMesh make_mesh(const std::vector<Point>& points, const std::vector<Face>& faces) {
+scene::TriMesh make_mesh(const std::vector<Point>& points, const std::vector<Face>& faces) {
   const auto v = static_cast<int64_t>(points.size()), f = static_cast<int64_t>(faces.size());
-  TriMesh m = {at::empty({v, 3}), at::empty({f, 3}, at::kInt)};
+  scene::TriMesh m = {at::empty({v, 3}), at::empty({f, 3}, at::kInt)};
   if (v > 0) std::copy_n(points[0].data(), 3 * v, m.vertices.mutable_data_ptr<float>());
   if (f > 0) std::copy_n(faces[0].data(), 3 * f, m.faces.mutable_data_ptr<int32_t>());
   return m;
 }
 
-TriMesh compact(const std::vector<Point>& points, const std::vector<Face>& faces) {
+scene::TriMesh compact(const std::vector<Point>& points, const std::vector<Face>& faces) {
   std::vector<int32_t> renumbered(points.size(), -1);
   std::vector<Point> used;
   std::vector<Face> out = faces;
@@ -65,11 +57,9 @@ uint64_t edge_key(int32_t a, int32_t b) {
   return (static_cast<uint64_t>(std::min(a, b)) << 32) | static_cast<uint64_t>(std::max(a, b));
 }
 
-}  // namespace mesh
-
 namespace {
 
-/// Faces around an edge: how many run along it from lower to higher index, and back.
+/// Faces at an edge: how many traverse it from the lower to the higher index, and how many back.
 struct EdgeUse {
   int forward = 0, backward = 0;
 };
@@ -89,7 +79,7 @@ std::unordered_map<uint64_t, EdgeUse> edge_uses(const std::vector<Face>& faces) 
 
 }  // namespace
 
-MeshFacts inspect(const TriMesh& m) {
+MeshFacts inspect(const scene::TriMesh& m) {
   const auto faces = mesh::faces_of(m);
   const auto points = mesh::points_of(m);
   MeshFacts facts;
@@ -122,7 +112,7 @@ MeshFacts inspect(const TriMesh& m) {
   return facts;
 }
 
-TriMesh drop_small_components(const TriMesh& m, double share) {
+scene::TriMesh drop_small_components(const scene::TriMesh& m, double share) {
   const auto faces = mesh::faces_of(m);
   const auto points = mesh::points_of(m);
   UnionFind sets(points.size());
@@ -157,4 +147,4 @@ TriMesh drop_small_components(const TriMesh& m, double share) {
   return mesh::compact(points, kept);
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::mesh

@@ -6,22 +6,23 @@
 #include <vector>
 
 #include "tt3d/mesh.h"
+#include "tt3d/surface.h"
 
-/// Index-structure helpers of the mesh room.
+/// Conversions and index structures of the mesh room.
 namespace tt3d::mesh {
 
 using Face = std::array<int32_t, 3>;
 using Point = std::array<float, 3>;
 
-std::vector<Face> faces_of(const TriMesh& m);
-std::vector<Point> points_of(const TriMesh& m);
-TriMesh make_mesh(const std::vector<Point>& points, const std::vector<Face>& faces);
-/// The same with unused points dropped and the rest numbered by first use.
-TriMesh compact(const std::vector<Point>& points, const std::vector<Face>& faces);
-/// One number for an undirected edge.
+std::vector<Face> faces_of(const scene::TriMesh& m);
+std::vector<Point> points_of(const scene::TriMesh& m);
+scene::TriMesh make_mesh(const std::vector<Point>& points, const std::vector<Face>& faces);
+/// The same, but without unused points; the others are renumbered in order of first use.
+scene::TriMesh compact(const std::vector<Point>& points, const std::vector<Face>& faces);
+/// A key for an undirected edge.
 uint64_t edge_key(int32_t a, int32_t b);
 
-/// Disjoint sets with path halving; the root is the smallest member.
+/// Disjoint sets with path halving; the representative is the smallest member.
 class UnionFind {
  public:
   explicit UnionFind(size_t n) : parent_(n) { std::iota(parent_.begin(), parent_.end(), 0); }

@@ -13,7 +13,7 @@
 namespace tt3d::model {
 namespace {
 
-/// Deflate of honest weights and JSON stays far below; a bomb is a thousand and more.
+/// Weights and JSON deflate to far less than this ratio; a zip bomb reaches a thousand and more.
 constexpr uint64_t kMaxCompressionRatio = 200;
 
 void close_zip(zip* archive) { zip_discard(archive); }
@@ -22,7 +22,7 @@ void close_zip(zip* archive) { zip_discard(archive); }
   const bool twice = zip_error_code_zip(&error) == ZIP_ER_EXISTS;
   const std::string reason = zip_error_strerror(&error);
   zip_error_fini(&error);
-  if (twice) throw Malformed("an entry is there twice");
+  if (twice) throw Malformed("an entry appears twice");
   throw Malformed(fmt::format(
       "not a readable zip archive ({}); expected a .pt2 file written by torch.export.save",
       reason));
@@ -57,7 +57,7 @@ void check_entry_kind(zip* archive, uint64_t index, const std::string& name) {
 void check_entry_size(const zip_stat_t& stat, const std::string& name) {
   constexpr zip_uint64_t kNeeded = ZIP_STAT_SIZE | ZIP_STAT_COMP_SIZE | ZIP_STAT_COMP_METHOD;
   if ((stat.valid & kNeeded) != kNeeded) {
-    throw Malformed(fmt::format("entry '{}' states no size", name));
+    throw Malformed(fmt::format("entry '{}' does not state its size", name));
   }
   if (stat.comp_method != ZIP_CM_STORE && stat.comp_method != ZIP_CM_DEFLATE) {
     throw Malformed(
@@ -76,8 +76,8 @@ void check_entry_size(const zip_stat_t& stat, const std::string& name) {
 
 }  // namespace
 
-/// The mapped file as libzip reads it. It notes where the latest read began: that is how the place
-/// of an entry's data is found without reading zip headers by hand.
+/// libzip's access to the mapped file. It records where the last read began: this locates an
+/// entry's data without parsing zip headers.
 struct Archive::Source {
   explicit Source(std::string_view file_bytes) : bytes(file_bytes) { zip_error_init(&error); }
   ~Source() { zip_error_fini(&error); }
@@ -206,7 +206,7 @@ void Archive::add_entry(uint64_t index) {
     entry.stored_crc = stat.crc;
   }
   if (!entries_.emplace(name, entry).second) {
-    throw Malformed(fmt::format("entry '{}' is there twice", name));
+    throw Malformed(fmt::format("entry '{}' appears twice", name));
   }
 }
 
@@ -266,7 +266,7 @@ void Archive::read(const std::string& name, void* target) const {
     }
     done += got;
   }
-  // The CRC is only compared when the end is reached.
+  // libzip compares the CRC only when it reaches the end.
   char beyond = 0;
   if (zip_fread(file.get(), &beyond, 1) != 0) {
     throw Malformed(fmt::format("entry '{}' is damaged (checksum or size)", name));
@@ -319,11 +319,11 @@ std::string Archive::model_name() const {
     if (name.compare(0, folder.size(), folder) != 0) continue;
     const bool json_file = name.size() > folder.size() + 5 && name.ends_with(".json");
     if (!json_file || !found.empty()) {
-      throw Malformed("holds more than one model, expected one graph in models/");
+      throw Malformed("contains more than one model, expected one graph in models/");
     }
     found = name.substr(folder.size(), name.size() - folder.size() - 5);
   }
-  if (found.empty()) throw Malformed("holds no graph (models/model.json)");
+  if (found.empty()) throw Malformed("contains no graph (models/model.json)");
   return found;
 }
 

@@ -15,8 +15,8 @@ struct zip;
 
 namespace tt3d::model {
 
-/// A zip file as torch.export writes it: one root folder, plain files. Opening it checks every
-/// entry (names, duplicates, links, sizes) before any is read. All functions throw Malformed.
+/// A zip file written by torch.export: one root folder, plain files. Opening it checks every entry
+/// (name, duplicate, link, size) before any is read. All functions throw Malformed.
 class Archive {
  public:
   Archive(std::shared_ptr<const MappedFile> file, const ModelLimits& limits);
@@ -24,14 +24,14 @@ class Archive {
   Archive(const Archive&) = delete;
   Archive& operator=(const Archive&) = delete;
 
-  /// True if the root folder holds a file of this relative name.
+  /// True if the root folder contains a file of this relative name.
   [[nodiscard]] bool has(const std::string& name) const { return entries_.count(name) != 0; }
-  /// Uncompressed size in bytes of a file that must be there.
+  /// Uncompressed size in bytes of a file that must exist.
   [[nodiscard]] int64_t size(const std::string& name) const;
   /// Reads a whole file into `target`, which has size(name) bytes; checks its CRC.
   void read(const std::string& name, void* target) const;
-  /// The bytes of a file where they lie in the mapped archive, CRC checked; nothing if the file
-  /// is compressed or damaged, which read() tells apart. Valid as long as file() is.
+  /// The bytes of a file inside the mapped archive, CRC checked. Nothing if the file is compressed
+  /// or damaged; read() then tells which. Valid as long as file() is.
   [[nodiscard]] std::optional<std::string_view> mapped(const std::string& name) const;
   [[nodiscard]] const std::shared_ptr<const MappedFile>& file() const { return file_; }
   /// Reads a text file.
@@ -45,7 +45,7 @@ class Archive {
   struct Entry {
     uint64_t index = 0;
     int64_t size = 0;
-    std::optional<uint32_t> stored_crc;  ///< only of entries that are not compressed
+    std::optional<uint32_t> stored_crc;  ///< only for uncompressed entries
   };
   struct Source;
   void list_entries();
@@ -56,7 +56,7 @@ class Archive {
   [[nodiscard]] zip* open_zip();
 
   std::shared_ptr<const MappedFile> file_;
-  std::unique_ptr<Source> source_;  ///< outlives zip_, which reads through it
+  std::unique_ptr<Source> source_;  ///< outlives zip_, which reads from it
   std::unique_ptr<zip, void (*)(zip*)> zip_;
   std::map<std::string, Entry> entries_;
   ModelLimits limits_;

@@ -12,12 +12,12 @@ namespace {
 
 using c10::IValue;
 
-/// Parts that an operator may cut a tensor into: far above any network.
+/// Limit for the number of pieces when an operator splits a tensor: far above that of any network.
 constexpr int64_t kMaxParts = 1 << 16;
-/// Outside, the index of a source pixel overflows.
+/// Outside this range, the index of a source pixel overflows.
 constexpr double kMinScale = 1e-4, kMaxScale = 1e4;
 
-/// The arguments of a call by name.
+/// The arguments of a call, by name.
 class Arguments {
  public:
   Arguments(const Step& step, const torch::jit::Stack& stack)
@@ -29,7 +29,7 @@ class Arguments {
     }
     return {};
   }
-  /// Undefined where the argument is absent or None.
+  /// Undefined if the argument is absent or None.
   [[nodiscard]] at::Tensor tensor(const std::string& name) const {
     const IValue value = get(name);
     return value.isTensor() ? value.toTensor() : at::Tensor();
@@ -47,7 +47,7 @@ void require(bool holds, const char* problem) {
   if (!holds) throw Malformed(problem);
 }
 
-/// The fused kernel reads as many values as there are keys.
+/// torch's fused kernel reads as many values as there are keys, unchecked.
 void check_attention(const Arguments& a) {
   const at::Tensor q = a.tensor("query"), k = a.tensor("key"), v = a.tensor("value");
   const int64_t rank = q.dim();
@@ -60,7 +60,7 @@ void check_attention(const Arguments& a) {
   require(fits, "groups of heads do not fit");
 }
 
-/// The kernel reads statistics for every channel, whatever their number.
+/// The kernel reads statistics for every channel, even if there are fewer.
 void check_statistics(const Arguments& a) {
   const at::Tensor input = a.tensor("input");
   require(input.dim() >= 2, "expects [N,C,...]");
@@ -86,7 +86,7 @@ void check_resampling(const Arguments& a) {
   }
 }
 
-/// Mirrored padding of less than nothing starts outside the picture.
+/// Reflection padding with a negative width would read outside the picture.
 void check_padding(const Arguments& a) {
   const IValue mode = a.get("mode");
   if (mode.isString() && mode.toStringRef() == "constant") return;
@@ -97,7 +97,7 @@ void check_padding(const Arguments& a) {
   }
 }
 
-/// The smallest integer over -1 traps.
+/// The smallest integer divided by -1 traps.
 void check_division(const Arguments& a) {
   const IValue mode = a.get("rounding_mode");
   if (!mode.isString() || mode.toStringRef() != "trunc") return;

@@ -6,8 +6,8 @@
 
 namespace tt3d::model {
 
-/// Refuses arguments that some of torch's kernels (2.11) follow without a check: out of bounds,
-/// into a crash, or into lists too long to hold. `stack` holds the arguments of the step's
+/// Rejects arguments that some of torch's kernels (2.11) do not check: they would read out of
+/// bounds, crash, or build lists too long for memory. `stack` holds the arguments of the step's
 /// operator. Throws Malformed.
 void check_arguments(const Step& step, const torch::jit::Stack& stack);
 

@@ -29,16 +29,16 @@ Input from_slot(Slot slot, ValueType type) {
   return input;
 }
 
-/// The only member of a tagged union: its tag and value.
+/// Tag and value of a tagged union, which must have exactly one member.
 std::pair<std::string, const Json*> open_union(const Json& argument) {
   if (!argument.is_object() || argument.size() != 1) {
-    throw Malformed("an argument is not a value with one tag");
+    throw Malformed("an argument is not a value with exactly one tag");
   }
   const auto member = argument.begin();
   return {member.key(), &member.value()};
 }
 
-/// JSON has no infinities, so torch writes them as text.
+/// JSON has no infinities, so torch writes them as strings.
 double read_real(const Json& value) {
   if (!value.is_string()) return value.get<double>();
   const auto text = value.get<std::string>();
@@ -92,7 +92,7 @@ ValueType value_type(const c10::TypePtr& type) {
   }
 }
 
-/// A number without symbols, as its own type.
+/// A number without symbols, with its own type.
 std::optional<IValue> literal_number(const std::string& tag, const Json& value) {
   if (tag == "as_int") return IValue(read_integer(value));
   if (tag == "as_float") return IValue(read_real(value));
@@ -109,7 +109,7 @@ bool is_symbol_tag(const std::string& tag) {
   return tag == "as_sym_int" || tag == "as_sym_float" || tag == "as_sym_bool";
 }
 
-/// Converts a literal to what the schema wants, where that loses nothing.
+/// Converts a literal to the schema's type, if that loses nothing.
 Input fit_literal(const IValue& number, const std::string& tag, const c10::TypePtr& type) {
   switch (value_type(type)) {
     case ValueType::kTensor: {
@@ -160,7 +160,7 @@ Input read_single(const std::string& tag, const Json& value, const c10::TypePtr&
   return fit_literal(*number, tag, type);
 }
 
-/// A constant list of numbers, if no item is a symbol.
+/// A constant list of numbers, if none of the items is a symbol.
 std::optional<IValue> constant_list(const std::vector<Input>& items, ValueType type) {
   for (const Input& item : items) {
     if (item.kind != Input::Kind::kConstant || item.constant.isNone()) return std::nullopt;
@@ -194,7 +194,7 @@ Input make_list(std::vector<Input> items, const c10::TypePtr& element, bool opti
   return input;
 }
 
-/// Tag of the items of a list with this tag, "" if they carry their own tag.
+/// Tag of the items in a list with this tag; "" if each item has its own tag.
 std::string item_tag(const std::string& list_tag) {
   if (list_tag == "as_tensors") return "as_tensor";
   if (list_tag == "as_ints") return "as_int";

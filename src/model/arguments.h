@@ -11,8 +11,9 @@ namespace tt3d::model {
 /// Finds the slot of a defined value; throws Malformed for undefined names.
 using SlotOf = std::function<Slot(const std::string& name)>;
 
-/// An argument of the JSON graph as an operator's schema wants it. Throws Malformed when the kind
-/// of the value does not fit. `fixed_size` is that of lists which accept one number for all.
+/// Converts an argument of the JSON graph to the type in an operator's schema. Throws Malformed if
+/// the kind of the value does not fit. `fixed_size` is the length of a list that also accepts a
+/// single number.
 [[nodiscard]] Input read_argument(const nlohmann::json& argument, const c10::TypePtr& type,
                                   std::optional<int32_t> fixed_size, const SlotOf& slot_of);
 

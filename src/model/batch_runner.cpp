@@ -20,7 +20,7 @@ namespace {
 using torch::autograd::AutogradContext;
 using torch::autograd::variable_list;
 
-/// What backward needs beside the images.
+/// Data for the backward pass besides the images.
 struct HeldRun : torch::CustomClassHolder {
   HeldRun(std::shared_ptr<BatchRunner> held, Pictures shown)
       : runner(std::move(held)), pictures(std::move(shown)) {
@@ -30,8 +30,8 @@ struct HeldRun : torch::CustomClassHolder {
   Pictures pictures;
 };
 
-/// The logits of a batch whose intermediate results do not fit together: nothing is kept but the
-/// images, and backward runs forward again, a part at a time.
+/// The logits of a batch whose intermediate results do not fit in memory together. Only the images
+/// are kept; the backward pass runs the forward pass again, part by part.
 struct LogitsInParts : torch::autograd::Function<LogitsInParts> {
   static at::Tensor forward(AutogradContext* context, const at::Tensor& images,
                             std::shared_ptr<BatchRunner> runner, const Pictures& pictures) {
@@ -76,7 +76,7 @@ at::Tensor BatchRunner::logits(const Pictures& pictures) {
   });
 }
 
-/// With gradients: everything that the batch needs for backward is kept.
+/// With gradients: keeps all that the backward pass needs.
 at::Tensor BatchRunner::whole(const Pictures& pictures) {
   if (is_recorded(pictures)) return played_logits(recorded_pass(pictures.images), pictures.images);
   MemoryMeter meter(memory_budget(limit_), true);
@@ -90,16 +90,16 @@ at::Tensor BatchRunner::whole(const Pictures& pictures) {
   return at::cat(parts, 0);
 }
 
-/// Features are mixed anew each time, so they cannot be played again.
+/// Mixed features are drawn anew each time, so such passes cannot be replayed.
 bool BatchRunner::is_recorded(const Pictures& pictures) const {
-  constexpr size_t kMostSizes = 4;  // each keeps the memory of its pass
+  constexpr size_t kMostSizes = 4;  // each recorded pass keeps its memory
   const int64_t total = pictures.images.size(0);
   return gpu_options().graphs && pictures.images.is_cuda() && !pictures.mix &&
          total <= graph_.max_batch && (passes_.size() < kMostSizes || passes_.count(total) != 0);
 }
 
 std::shared_ptr<RecordedPass> BatchRunner::recorded_pass(const at::Tensor& images) {
-  static_cast<void>(graph_on(images.device()));  // forgets the passes of another device
+  static_cast<void>(graph_on(images.device()));  // drops the passes of another device
   const auto found = passes_.find(images.size(0));
   if (found != passes_.end()) return found->second;
   const auto forward = [this](const at::Tensor& batch) {
@@ -131,8 +131,8 @@ at::Tensor BatchRunner::gradient(const Pictures& pictures, const at::Tensor& gra
   return result;
 }
 
-/// Runs `part` over [0, total) in ranges of at most `fitting`, which is halved while a range does
-/// not fit in memory.
+/// Runs `part` over [0, total) in ranges of at most `fitting` items; halves `fitting` when a range
+/// does not fit in memory.
 at::Tensor BatchRunner::in_parts(int64_t total, int64_t& fitting, const Part& part) const {
   std::vector<at::Tensor> parts;
   for (int64_t start = 0; start < total;) {
@@ -156,7 +156,7 @@ at::Tensor BatchRunner::in_parts(int64_t total, int64_t& fitting, const Part& pa
   return parts.size() == 1 ? parts[0] : at::cat(parts, 0);
 }
 
-/// Batches below the exported range are filled up with zeros.
+/// Pads batches below the exported range with zeros.
 at::Tensor BatchRunner::filled_up(const at::Tensor& images) const {
   const int64_t missing = graph_.min_batch - images.size(0);
   if (missing <= 0) return images;
@@ -172,7 +172,7 @@ at::Tensor BatchRunner::run(const Pictures& pictures, MemoryMeter& meter) {
   std::optional<FeatureMixer> mixer;
   if (pictures.mix) {
     mixer.emplace(*pictures.mix, pictures.first);
-    // Nothing of this run is kept for backward, so it does not count in the pictures' own.
+    // Nothing of this run is kept for a backward pass, so it needs a meter of its own.
     MemoryMeter passing(memory_budget(limit_), false);
     const at::NoGradGuard none;
     const int64_t first = pictures.first;
@@ -181,7 +181,7 @@ at::Tensor BatchRunner::run(const Pictures& pictures, MemoryMeter& meter) {
     mixer->begin_mixing();
   }
   at::Tensor logits = run_graph(graph, images, meter, mixer ? &*mixer : nullptr);
-  if (logits.dim() == 3) logits = logits.amax(1);  // a detector: each class where it scores highest
+  if (logits.dim() == 3) logits = logits.amax(1);  // a detector: best score of each class
   if (logits.dim() != 2 || logits.size(0) != images.size(0) || logits.size(1) != graph_.classes ||
       !logits.is_floating_point()) {
     throw Malformed("the graph did not give logits [N,classes]");
@@ -189,7 +189,7 @@ at::Tensor BatchRunner::run(const Pictures& pictures, MemoryMeter& meter) {
   return logits.to(at::kFloat).slice(0, 0, count);
 }
 
-/// The graph with its weights on `device`; the last device other than the CPU is kept.
+/// The graph with its weights on `device`. Keeps the copy for the last device other than the CPU.
 const Graph& BatchRunner::graph_on(at::Device device) {
   if (device.is_cpu()) return graph_;
   if (!moved_ || moved_device_ != device) {

@@ -14,31 +14,30 @@
 
 namespace tt3d::model {
 
-/// Normalised images [N,3,H,W], and what competes with them, if anything does.
+/// Normalised images [N,3,H,W], and their competitors if features are mixed.
 struct Pictures {
   at::Tensor images;
-  std::optional<FeatureMix> mix = {};  ///< of the whole batch; its images are normalised, too
-  int64_t first = 0;                   ///< number of the first image in that batch
+  std::optional<FeatureMix> mix = {};  ///< of the whole batch; its images are normalised too
+  int64_t first = 0;                   ///< index of the first image within that batch
 
   [[nodiscard]] Pictures slice(int64_t start, int64_t end) const {
     return {images.slice(0, start, end), mix, first + start};
   }
 };
 
-/// Runs a graph on batches of any size: fills up what is smaller than the exported range, and runs
-/// in parts what is larger, or does not fit in memory. It remembers which sizes did not fit.
+/// Runs a graph on batches of any size. Smaller batches than exported are padded. Larger ones, or
+/// ones that do not fit in memory, run in parts. It remembers which sizes did not fit.
 class BatchRunner : public std::enable_shared_from_this<BatchRunner> {
  public:
   BatchRunner(Graph graph, int64_t intermediate_bytes, Precision precision);
 
-  /// float32, N > 0, on any device; logits [N,classes] float32,
-  /// differentiable where autograd is on. Throws Malformed, and ResourceError where not even one
-  /// image fits.
+  /// float32, N > 0, on any device; logits [N,classes] float32, differentiable if autograd is on.
+  /// Throws Malformed, and ResourceError if not even one image fits.
   [[nodiscard]] at::Tensor logits(const Pictures& pictures);
   [[nodiscard]] const Graph& graph() const { return graph_; }
 
   /// The product of `gradient` [N,classes] with the derivative of the logits: [N,3,H,W]. Runs
-  /// forward and backward a part at a time, so that no more than one part's results are held.
+  /// forward and backward part by part, so that memory holds one part's results only.
   [[nodiscard]] at::Tensor gradient(const Pictures& pictures, const at::Tensor& gradient);
 
  private:
@@ -55,7 +54,7 @@ class BatchRunner : public std::enable_shared_from_this<BatchRunner> {
   Graph graph_;
   int64_t limit_;
   Precision precision_;
-  /// Largest batches that are not known to be too large.
+  /// The largest batches that may still fit.
   int64_t fitting_, fitting_with_gradient_;
   std::optional<Graph> moved_;
   at::Device moved_device_ = at::kCPU;

@@ -16,7 +16,7 @@ constexpr int64_t kMaxSide = 8192;
 constexpr int64_t kMaxProbeBatch = 64;
 constexpr const char* kProbeRule = "waves-1";
 
-/// Typed access to the keys of a card with errors that name file and key.
+/// Typed access to a card's keys; errors name the file and the key.
 class CardReader {
  public:
   CardReader(const std::filesystem::path& path, const ModelLimits& limits) : path_(path) {
@@ -57,7 +57,7 @@ class CardReader {
 
   std::string text(const char* key) const {
     if (!document_.contains(key) || document_[key].is_null()) return "";
-    if (!document_[key].is_string()) fail(fmt::format("'{}' must be a text", key));
+    if (!document_[key].is_string()) fail(fmt::format("'{}' must be a string", key));
     return document_[key].get<std::string>();
   }
 
@@ -69,19 +69,19 @@ class CardReader {
     card.licence = text("licence");
     card.sha256 = text("sha256");
     if (card.sha256.size() != 64) {
-      fail("'sha256' must hold the 64 hex digits of the .pt2 file's SHA-256");
+      fail("'sha256' must be the 64 hex digits of the .pt2 file's SHA-256");
     }
   }
 
   int64_t side(const Json& value, const char* key) const {
     if (!value.is_number_integer() || value.get<int64_t>() < 1 || value.get<int64_t>() > kMaxSide) {
-      fail(fmt::format("'{}' must be whole pixels from 1 to {}", key, kMaxSide));
+      fail(fmt::format("'{}' must be an integer number of pixels from 1 to {}", key, kMaxSide));
     }
     return value.get<int64_t>();
   }
 
   std::vector<double> channels(const char* key, bool positive) const {
-    const Json& list = need(key, "three numbers, one a channel");
+    const Json& list = need(key, "three numbers, one per channel");
     std::vector<double> values;
     for (const Json& item : list) {
       if (item.is_number()) values.push_back(item.get<double>());
@@ -128,7 +128,7 @@ class CardReader {
     }
     if (!labels.is_array()) fail("'labels' must be \"imagenet-1k\" or a list of names");
     for (const Json& label : labels) {
-      if (!label.is_string()) fail("'labels' must hold texts");
+      if (!label.is_string()) fail("'labels' must contain strings");
       card.labels.push_back(label.get<std::string>());
     }
   }
@@ -166,7 +166,7 @@ class CardReader {
     for (const int64_t index : one.classes) {
       fine &= index >= 0 && index < static_cast<int64_t>(labels);
     }
-    if (!fine) fail("'probe' holds lists whose lengths disagree");
+    if (!fine) fail("'probe' contains lists of different lengths");
     return one;
   }
 

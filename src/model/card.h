@@ -10,11 +10,11 @@
 
 namespace tt3d::model {
 
-/// What a model answered to `batch` probe images when it was exported.
+/// The model's results for `batch` probe images at export.
 struct ProbeCase {
   int64_t batch = 0;
   std::vector<std::vector<double>> logits;  ///< [batch][classes]
-  std::vector<int64_t> classes;             ///< whose logits the gradient is of, one an image
+  std::vector<int64_t> classes;             ///< per image, the class of the gradient
   double gradient_norm = 0;
   std::vector<double> gradient;  ///< at probe_positions()
 };
@@ -22,16 +22,16 @@ struct ProbeCase {
 /// The probe of a card: rule "waves-1" (docs/model.md), computed by probe_images().
 struct Probe {
   uint64_t seed = 0;
-  std::vector<ProbeCase> cases;  ///< empty: the card has no probe
+  std::vector<ProbeCase> cases;  ///< empty if the card has no probe
 };
 
-/// A card as the reader needs it.
+/// A card with its probe, for the reader.
 struct CardFile {
   ModelCard card;
   Probe probe;
 };
 
-/// Reads and validates NAME.json; throws InputError naming the key that is missing or wrong.
+/// Reads and validates NAME.json. Throws InputError that names the missing or wrong key.
 [[nodiscard]] CardFile read_card(const std::filesystem::path& path, const ModelLimits& limits);
 
 /// One ImageNet class: WordNet id and names.

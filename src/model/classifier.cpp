@@ -13,16 +13,9 @@
 #include "rewrite.h"
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace fs = std::filesystem;
 namespace {
-
-using model::BatchRunner;
-using model::CardFile;
-using model::Graph;
-using model::Malformed;
-using model::MappedFile;
-using model::Pictures;
 
 at::Tensor channel_tensor(const std::vector<double>& values) {
   return at::tensor(values, at::kDouble).to(at::kFloat).view({1, 3, 1, 1});
@@ -134,7 +127,7 @@ class Pt2Classifier final : public Classifier {
   bool channels_last_;
   Precision precision_;
   at::Tensor mean_, std_;
-  mutable ProbeReport probe_;  // what check_gradients() found is remembered
+  mutable ProbeReport probe_;  // check_gradients() stores its result here
 };
 
 void check_sha256(const MappedFile& archive, const CardFile& file) {
@@ -157,7 +150,7 @@ void check_against_card(const Graph& graph, const ModelCard& card) {
   }
 }
 
-/// A package on its way to a classifier.
+/// The parts of a package before it becomes a classifier.
 struct Package {
   fs::path path;
   CardFile card;
@@ -165,7 +158,7 @@ struct Package {
   ModelLimits limits;
 };
 
-/// The graph as `options` say, and whether it wants its images channels-last.
+/// The graph prepared as `options` ask, and whether its images should be channels-last.
 std::pair<Graph, bool> prepare(const Package& package, const ModelOptions& options) {
   Graph graph = model::read_graph(model::Archive(package.archive, package.limits), package.limits);
   check_against_card(graph, package.card.card);
@@ -182,7 +175,7 @@ std::pair<Graph, bool> prepare(const Package& package, const ModelOptions& optio
   return {std::move(graph), channels_last};
 }
 
-/// Prepares the package and probes it.
+/// Prepares the package and runs its probe.
 std::shared_ptr<Pt2Classifier> build(const Package& package, const ModelOptions& options) {
   auto [graph, channels_last] = prepare(package, options);
   auto runner = std::make_shared<BatchRunner>(std::move(graph), package.limits.intermediate_bytes,
@@ -248,4 +241,4 @@ std::shared_ptr<Classifier> Classifier::load(const std::string& name, const Mode
   }
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -10,8 +10,8 @@ FeatureMixer::FeatureMixer(const FeatureMix& mix, int64_t first)
     : mix_(mix), first_(first), choice_(mix.seed, "model/mix/layers", mix.step) {}
 
 void FeatureMixer::keep(int64_t layer, const at::Tensor& features) {
-  // Layers come in order: each has its own draw, whatever the others do.
-  // A copy: the activation behind the layer may work in place.
+  // Every layer draws, whether or not it mixes, so the draws of one do not depend on the others.
+  // The features are copied, because the following activation may work in place.
   if (choice_.uniform() < mix_.probability) kept_[layer] = features.clone();
 }
 
@@ -27,12 +27,12 @@ at::Tensor FeatureMixer::take(int64_t layer, const at::Tensor& features, bool ch
   shape[0] = mix_.images.size(0);
   shape[static_cast<size_t>(axis)] = features.size(axis);
   const Random draws(mix_.seed, "model/mix/" + std::to_string(layer), mix_.step);
-  // Drawn for the whole batch, so that one run in parts gets the same numbers.
+  // Drawn for the whole batch, so that a batch in parts gets the same numbers.
   const at::Tensor shares =
       uniform_tensor(shape, 0, mix_.share, draws.key(), features.device()).to(features.dtype());
   const int64_t most = std::min(first_ + features.size(0), shape[0]);
   at::Tensor own = shares.slice(0, first_, most);
-  if (own.size(0) < features.size(0)) {  // zeros that fill up the batch
+  if (own.size(0) < features.size(0)) {  // the batch is padded with zeros
     std::vector<int64_t> missing = shape;
     missing[0] = features.size(0) - own.size(0);
     own = at::cat({own, at::zeros(missing, own.options())});

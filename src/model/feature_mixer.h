@@ -9,14 +9,14 @@
 
 namespace tt3d::model {
 
-/// Keeps what the chosen layers make of the competitors in a first run, and mixes it into what they
-/// make of the pictures in a second one.
+/// Feature mixing in two runs: the first one keeps the competitors' features at the chosen layers,
+/// the second one mixes them into the features of the pictures.
 class FeatureMixer : public LayerTap {
  public:
-  /// For pictures [first, first + n) of the batch that `mix` is about.
+  /// For pictures [first, first + n) of the batch that `mix` describes.
   FeatureMixer(const FeatureMix& mix, int64_t first);
 
-  /// The competitors have run.
+  /// Call it after the run of the competitors.
   void begin_mixing() { mixing_ = true; }
   at::Tensor take(int64_t layer, const at::Tensor& features, bool channels_first) override;
 

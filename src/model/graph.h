@@ -13,17 +13,17 @@ namespace tt3d::model {
 /// Index of a value (tensor, symbolic number) of a graph.
 using Slot = int32_t;
 
-/// How the schema wants a value from a slot.
+/// Type of a slot's value in the operator's schema.
 enum class ValueType { kTensor, kInt, kFloat, kBool, kScalar };
 
 /// One argument of a step.
 struct Input {
   enum class Kind {
     kConstant,  ///< `constant`
-    kNumber,    ///< `constant`, a number that stands for a tensor
-    kSlot,      ///< the value of `slot`, as `type`
+    kNumber,    ///< `constant`, a number in place of a tensor
+    kSlot,      ///< the value of `slot`, converted to `type`
     kList,      ///< `items`, as a list of `type`
-    kDevice,    ///< the device that the model runs on
+    kDevice,    ///< the model's device
   };
   Kind kind = Kind::kConstant;
   c10::IValue constant;
@@ -33,7 +33,7 @@ struct Input {
   std::vector<Input> items;
 };
 
-/// One result of a step: a value, or a list of tensors that are values each.
+/// One result of a step: a value, or a list of tensors with one value each.
 struct Output {
   std::vector<Slot> slots;
   bool is_list = false;
@@ -48,15 +48,15 @@ struct Step {
   std::string target;  ///< e.g. "aten::conv2d"
   std::optional<c10::OperatorHandle> op;
   SymbolicFunction symbolic = nullptr;  ///< instead of `op`
-  std::vector<Input> inputs;            ///< one an argument of the schema
+  std::vector<Input> inputs;            ///< one per argument of the schema
   std::vector<Output> outputs;
-  std::vector<Slot> release;  ///< values nothing uses after this step
+  std::vector<Slot> release;  ///< values that no later step uses
 };
 
 /// A classifier's graph: a list of steps in order of execution.
 struct Graph {
   std::vector<std::string> names;        ///< by slot
-  std::map<Slot, int64_t> ranks;         ///< number of dimensions, where the file states it
+  std::map<Slot, int64_t> ranks;         ///< number of dimensions, if the file states it
   std::map<Slot, at::Tensor> constants;  ///< parameters, buffers, tensor constants
   std::vector<Step> steps;
   Slot input = -1;   ///< float32 [N,3,H,W], normalised

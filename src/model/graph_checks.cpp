@@ -9,7 +9,7 @@
 namespace tt3d::model {
 namespace {
 
-/// Operators whose result may be the same memory though their schema does not say so.
+/// Operators whose result may share memory with an argument although their schema does not say so.
 bool may_alias(const std::string& target) {
   static const std::unordered_set<std::string> names = {
       "aten::reshape",    "aten::reshape_as", "aten::contiguous",   "aten::flatten",
@@ -33,7 +33,7 @@ void check_weights_are_read_only(const Graph& graph) {
       for_each_read(step.inputs[i], [&](Slot slot) { weight |= weights.count(slot) != 0; });
       const auto* info = arguments[i].alias_info();
       if (weight && info != nullptr && info->isWrite()) {
-        throw Malformed(fmt::format("node '{}' ({}) writes to a weight; a victim cannot change",
+        throw Malformed(fmt::format("node '{}' ({}) writes to a weight; a victim must not change",
                                     step.name, step.target));
       }
       alias |= weight && (info != nullptr || may_alias(step.target));

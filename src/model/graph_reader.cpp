@@ -165,9 +165,9 @@ void GraphReader::read_symbolic(const Json& node, Step& step) {
 
 void GraphReader::read_operator(const Json& node, Step& step) {
   std::string target = node.at("target").get<std::string>();
-  // In-place detach fails on views; the result is the same.
+  // In-place detach fails on views; the result is equal.
   if (target == "torch.ops.aten.detach_.default") target = "torch.ops.aten.detach.default";
-  // What memory held before is nobody's input.
+  // Uninitialised memory must not become an input.
   if (target == "torch.ops.aten.empty_like.default") target = "torch.ops.aten.zeros_like.default";
   step.op = find_operator(target);
   step.target = step.op->schema().name();
@@ -179,7 +179,7 @@ void GraphReader::read_operator_inputs(const Json& node, Step& step) {
   std::unordered_map<std::string, const Json*> given;
   for (const Json& input : node.at("inputs")) {
     if (!given.emplace(input.at("name").get<std::string>(), &input.at("arg")).second) {
-      throw Malformed("has an argument twice");
+      throw Malformed("has a duplicate argument");
     }
   }
   const auto slot_of = [this](const std::string& name) { return find(name); };

@@ -5,16 +5,16 @@
 
 namespace tt3d::model {
 
-/// Reads the graph and its weights from an archive and checks that it is a classifier of images:
+/// Reads the graph and its weights from an archive, and checks that it is a classifier of images:
 /// one float32 input [N,3,H,W], one float32 output [N,classes] or [N,anchors,classes], allowed
-/// operators only, every value defined once and before its use, no weight written to. Throws
+/// operators only, every value defined once and before its use, no write to a weight. Throws
 /// Malformed.
 [[nodiscard]] Graph read_graph(const Archive& archive, const ModelLimits& limits);
 
-/// Refuses in-place operators on weights and on views of weights. Throws Malformed.
+/// Throws Malformed for in-place operators on weights or on views of weights.
 void check_weights_are_read_only(const Graph& graph);
 
-/// Fills Step::release: the values that nothing uses after a step.
+/// Fills Step::release: the values that no step after this one uses.
 void find_last_uses(Graph& graph);
 
 }  // namespace tt3d::model

@@ -7,8 +7,7 @@
 #include "card.h"
 #include "imagenet_table.h"
 
-namespace tt3d {
-namespace model {
+namespace tt3d::model {
 namespace {
 
 std::vector<std::string> split_names(const std::string& text) {
@@ -38,8 +37,6 @@ const std::vector<ImagenetClass>& imagenet_classes() {
   static const std::vector<ImagenetClass> classes = parse_table();
   return classes;
 }
-
-}  // namespace model
 
 namespace {
 
@@ -98,7 +95,7 @@ ClassId class_of_wnid(const std::string& text, const ModelCard& card) {
       fmt::format("class '{}': not a WordNet id that model {} knows", text, card.name));
 }
 
-/// The nearest name, and names that hold the word.
+/// The nearest name, and names that contain the word.
 std::string suggestions(const std::string& word, const ModelCard& card) {
   std::vector<std::string> all, near;
   for (size_t i = 0; i < card.labels.size(); ++i) {
@@ -147,4 +144,4 @@ ClassId find_class(const std::string& text, const ModelCard& card) {
   throw InputError(fmt::format("class '{}' is ambiguous, give the index: {}", text, candidates));
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -4,7 +4,7 @@
 
 namespace tt3d::model {
 
-/// Something wrong inside a package; Classifier::load turns it into an InputError with the file.
+/// An error inside a package; Classifier::load turns it into an InputError with the file name.
 class Malformed : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;

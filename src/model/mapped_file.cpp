@@ -14,7 +14,7 @@
 namespace tt3d::model {
 namespace {
 
-/// Closes a file descriptor at the end of the scope; a mapping outlives it.
+/// Closes a file descriptor at the end of the scope; the mapping stays valid.
 struct Descriptor {
   int number;
   ~Descriptor() {

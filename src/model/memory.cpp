@@ -14,7 +14,7 @@ namespace {
 constexpr int64_t kUnlimited = std::numeric_limits<int64_t>::max();
 thread_local int64_t largest_allocation = kUnlimited;
 
-/// A number at the start of a file of the kernel, or `otherwise` ("max", no such file).
+/// The number at the start of a kernel file, or `otherwise` ("max", no such file).
 int64_t number_in(const char* path, int64_t otherwise) {
   int64_t value = 0;
   return std::ifstream(path) >> value ? value : otherwise;
@@ -35,13 +35,13 @@ int64_t control_group_memory() {
   return std::max<int64_t>(limit - number_in("/sys/fs/cgroup/memory.current", 0), 0);
 }
 
-/// Torch's own allocator behind the limit of AllocationLimit.
+/// Torch's own allocator with the limit of AllocationLimit.
 class LimitedAllocator final : public c10::Allocator {
  public:
   explicit LimitedAllocator(c10::Allocator* inner) : inner_(inner) {}
   c10::DataPtr allocate(size_t bytes) override {
     if (bytes > static_cast<size_t>(largest_allocation)) {
-      throw MemoryLimit(fmt::format("an intermediate result of {} bytes passes the limit of {}",
+      throw MemoryLimit(fmt::format("an intermediate result of {} bytes exceeds the limit of {}",
                                     bytes, largest_allocation));
     }
     return inner_->allocate(bytes);
@@ -55,10 +55,10 @@ class LimitedAllocator final : public c10::Allocator {
   c10::Allocator* inner_;
 };
 
-/// Puts the limit in front of torch's allocator, once a process.
+/// Installs the limit in front of torch's allocator, once per process.
 void install_limit() {
   static LimitedAllocator* const limited = [] {
-    // Never freed: tensors of static lifetime may use it until the very end.
+    // Never freed: tensors of static lifetime may use it until the process ends.
     auto* allocator = new LimitedAllocator(c10::GetCPUAllocator());
     c10::SetCPUAllocator(allocator, std::numeric_limits<uint8_t>::max());
     return allocator;
@@ -69,7 +69,7 @@ void install_limit() {
 }  // namespace
 
 int64_t memory_budget(int64_t limit) {
-  // Backward needs room of its own beside what the forward pass keeps.
+  // The backward pass needs memory in addition to what the forward pass keeps.
   const int64_t left = std::min(machine_memory(), control_group_memory()) / 4 * 3;
   return std::min(limit, left);
 }
@@ -77,7 +77,7 @@ int64_t memory_budget(int64_t limit) {
 void MemoryMeter::add(const at::Tensor& tensor) {
   held_ += static_cast<int64_t>(tensor.storage().nbytes());
   if (held_ <= limit_) return;
-  throw MemoryLimit(fmt::format("intermediate results pass the limit of {} bytes", limit_));
+  throw MemoryLimit(fmt::format("intermediate results exceed the limit of {} bytes", limit_));
 }
 
 void MemoryMeter::release(const at::Tensor& tensor) {
@@ -87,7 +87,7 @@ void MemoryMeter::release(const at::Tensor& tensor) {
 
 void MemoryMeter::check_size(const at::Tensor& tensor) const {
   if (static_cast<int64_t>(tensor.nbytes()) <= limit_) return;
-  throw MemoryLimit(fmt::format("an intermediate result of {} bytes passes the limit of {}",
+  throw MemoryLimit(fmt::format("an intermediate result of {} bytes exceeds the limit of {}",
                                 tensor.nbytes(), limit_));
 }
 

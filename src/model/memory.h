@@ -7,26 +7,26 @@
 
 namespace tt3d::model {
 
-/// A run needs more memory than it may take; a smaller batch may fit.
+/// A run needs more memory than its limit; a smaller batch may fit.
 class MemoryLimit : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// Memory that a run's results may hold: `limit`, or most of what the machine (or its control
-/// group) has left if that is less.
+/// Memory limit for a run's results: `limit`, or most of the free memory of the machine (or its
+/// control group) if that is less.
 [[nodiscard]] int64_t memory_budget(int64_t limit);
 
-/// Counts the memory that the results of a run hold. With autograd on, what backward needs stays
-/// after the result itself is released, so nothing is given back.
+/// Counts the memory of a run's results. With autograd on, the backward pass keeps what it needs
+/// even after the result itself is released, so nothing is subtracted.
 class MemoryMeter {
  public:
   MemoryMeter(int64_t limit, bool keeps_all) : limit_(limit), keeps_all_(keeps_all) {}
-  /// Throws MemoryLimit past the limit.
+  /// Throws MemoryLimit if the sum exceeds the limit.
   void add(const at::Tensor& tensor);
   void release(const at::Tensor& tensor);
-  /// Throws MemoryLimit for a view that stands for more memory than there may be: a copy of it,
-  /// which many operators make inside, would not fit.
+  /// Throws MemoryLimit for a view whose copy would exceed the limit: many operators make such a
+  /// copy internally.
   void check_size(const at::Tensor& tensor) const;
 
  private:
@@ -36,7 +36,7 @@ class MemoryMeter {
 };
 
 /// In its scope and thread, a single allocation of CPU memory beyond `bytes` throws MemoryLimit
-/// before it is made: an operator cannot take more than a run may hold, not even inside.
+/// before it is made. Thus no operator can exceed a run's limit, not even internally.
 class AllocationLimit {
  public:
   explicit AllocationLimit(int64_t bytes);
@@ -48,7 +48,7 @@ class AllocationLimit {
   int64_t outer_;
 };
 
-/// True if torch failed for want of memory.
+/// True if torch failed because memory ran out.
 [[nodiscard]] bool is_out_of_memory(const c10::Error& error);
 
 }  // namespace tt3d::model

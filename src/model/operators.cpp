@@ -11,9 +11,9 @@
 namespace tt3d::model {
 namespace {
 
-/// Every overload of these that check_schema accepts may run. Left out on purpose: factories of
-/// random numbers, as_strided / set_ / resize_ (memory layout), _unsafe_index (no bounds check),
-/// quantised and sparse operators, out= variants.
+/// Every overload of these operators that accepted_schema accepts may run. Left out on purpose:
+/// factories of random numbers, as_strided / set_ / resize_ (memory layout), _unsafe_index (no
+/// bounds check), quantised and sparse operators, out= variants.
 // clang-format off
 const std::unordered_set<std::string_view>& allowed() {
   static const std::unordered_set<std::string_view> names = {
@@ -134,8 +134,8 @@ bool is_zero(const Input& input) {
          input.constant.toDouble() == 0;
 }
 
-/// Batch normalisation without running statistics keeps nothing and draws nothing: weight
-/// standardisation (NFNets) is written so.
+/// Batch normalisation without running statistics stores nothing and draws no random numbers.
+/// Weight standardisation (NFNets) is exported in this form.
 bool is_stateless_norm(const Step& step) {
   if (step.target != "aten::batch_norm" && step.target != "aten::instance_norm") return false;
   const auto& arguments = step.op->schema().arguments();
@@ -157,7 +157,7 @@ c10::OperatorHandle find_operator(const std::string& target) {
   const std::string name = rest.substr(0, dot);
   std::string overload = dot == std::string::npos ? "" : rest.substr(dot + 1);
   if (overload == "default") overload.clear();
-  // view.dtype gives bytes another meaning, e.g. makes a bool of a 2.
+  // view.dtype reinterprets bytes, e.g. makes a bool of a 2.
   if (allowed().count(name) == 0 || (name == "view" && overload == "dtype")) throw_refused(target);
   const auto op = c10::Dispatcher::singleton().findSchema({"aten::" + name, overload});
   if (!op) {

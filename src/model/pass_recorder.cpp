@@ -17,7 +17,7 @@ using at::Tensor;
 using torch::autograd::AutogradContext;
 using torch::autograd::variable_list;
 
-/// The pass, and whose images it was at.
+/// The pass, and its turn() at the time of the forward pass.
 struct HeldPass : torch::CustomClassHolder {
   HeldPass(std::shared_ptr<RecordedPass> held, int64_t its_turn)
       : pass(std::move(held)), turn(its_turn) {}
@@ -102,7 +102,7 @@ class CudaGraphRecording final : public Recording {
       work();
     } catch (...) {
       try {
-        graph_.capture_end();  // the stream may not stay in capture; that it failed is known
+        graph_.capture_end();  // ends the stream's capture; its own failure adds no information
       } catch (const c10::Error&) {
       }
       throw;
@@ -117,7 +117,7 @@ class CudaGraphRecording final : public Recording {
   at::cuda::CUDAGraph graph_;
 };
 
-/// Records on a stream of its own, as capturing asks for; plays on torch's current one.
+/// Records on a separate stream, which capture requires; replays on torch's current one.
 class CudaGraphRecorder final : public Recorder {
  public:
   explicit CudaGraphRecorder(at::Device device)
@@ -125,7 +125,7 @@ class CudaGraphRecorder final : public Recorder {
         pool_(at::cuda::graph_pool_handle()) {}
 
   void warm_up(const std::function<void()>& work) override {
-    constexpr int kRounds = 3;  // as torch's own make_graphed_callables
+    constexpr int kRounds = 3;  // as in torch's make_graphed_callables
     c10::cuda::device_synchronize();
     {
       const c10::cuda::CUDAStreamGuard guard(stream_);

@@ -26,7 +26,7 @@ bool is_product(const Step& step) {
   return names.count(step.target) != 0;
 }
 
-/// Slots that nothing but convolutions and linear layers read, as weight or bias.
+/// Slots that only convolutions and linear layers read, as weight or bias.
 std::unordered_set<Slot> slots_of_products(const Graph& graph) {
   std::unordered_set<Slot> found, elsewhere;
   for (const Step& step : graph.steps) {
@@ -65,7 +65,7 @@ void use_bfloat16_weights(Graph& graph) {
 PrecisionScope::PrecisionScope(Precision precision, at::Device device)
     : device_(device.type()), active_(precision == Precision::kBfloat16) {
   if (precision == Precision::kTf32) {
-    // Backward runs after this scope, so this stays on for the process.
+    // The backward pass runs after this scope, so the switch stays on for the process.
     at::globalContext().setAllowTF32CuBLAS(true);
     at::globalContext().setAllowTF32CuDNN(true);
   }
@@ -75,7 +75,7 @@ PrecisionScope::PrecisionScope(Precision precision, at::Device device)
   type_ = at::autocast::get_autocast_dtype(device_);
   at::autocast::set_autocast_enabled(device_, true);
   at::autocast::set_autocast_dtype(device_, at::kBFloat16);
-  // The cache is for weights in training; here it would keep images.
+  // The cache is meant for weights in training; here it would only keep images.
   at::autocast::set_autocast_cache_enabled(false);
 }
 

@@ -7,15 +7,15 @@
 
 namespace tt3d::model {
 
-/// Throws InputError where `precision` would be slower than float32, or is not there at all.
+/// Throws InputError if `precision` is slower than float32 here, or not available.
 void check_precision(Precision precision);
 
-/// Stores the weights of convolutions and linear layers in bfloat16, so that they need not be
-/// converted in every run.
+/// Stores the weights of convolutions and linear layers in bfloat16, so that runs need not convert
+/// them.
 void use_bfloat16_weights(Graph& graph);
 
-/// In its scope, operators run in `precision`: for bfloat16 torch's autocast, which converts the
-/// arguments of convolutions and matrix products and keeps sums and norms in float32.
+/// In its scope, operators run in `precision`. For bfloat16 that is torch's autocast: it converts
+/// the arguments of convolutions and matrix products, and keeps sums and norms in float32.
 class PrecisionScope {
  public:
   PrecisionScope(Precision precision, at::Device device);

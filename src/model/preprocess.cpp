@@ -4,10 +4,10 @@
 
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
-/// Python's round(), which torchvision's centre crop uses: halves go to the even number.
+/// Python's round(), which torchvision's centre crop uses: ties go to the even number.
 int64_t crop_start(int64_t size, int64_t crop) {
   return static_cast<int64_t>(std::nearbyint(static_cast<double>(size - crop) / 2.0));
 }
@@ -16,7 +16,7 @@ at::Tensor resize(const at::Tensor& images, int64_t height, int64_t width,
                   const std::string& interpolation) {
   if (images.size(2) == height && images.size(3) == width) return images;
   if (interpolation == "bicubic") {
-    // Cubic weights overshoot; pictures do not.
+    // Cubic interpolation overshoots the range of a picture.
     return at::_upsample_bicubic2d_aa(images, {height, width}, false).clamp(0, 1);
   }
   return at::_upsample_bilinear2d_aa(images, {height, width}, false);
@@ -39,4 +39,4 @@ at::Tensor preprocess(const at::Tensor& images, const ModelCard& card) {
   return resized.slice(2, top, top + card.height).slice(3, left, left + card.width);
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::model

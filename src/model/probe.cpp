@@ -10,13 +10,13 @@
 namespace tt3d::model {
 namespace {
 
-/// How far rounding alone may move the answers.
+/// The largest differences that rounding alone may cause.
 struct Bounds {
   double logit_error, cosine, norm_error;
 };
 
 Bounds bounds_of(Precision precision) {
-  // Rounding of float32 convolutions in another order stays a hundred times below these.
+  // Another summation order of float32 convolutions stays a hundred times below these bounds.
   if (precision == Precision::kFloat32) return {1e-3, 0.999, 1e-2};
   return {5e-2, 0.95, 0.2};
 }
@@ -40,14 +40,14 @@ double logit_error(const at::Tensor& logits, const ProbeCase& expected) {
       low = std::min(low, want);
       high = std::max(high, want);
       const double difference = std::abs(*value++ - want);
-      // NaN counts as infinitely wrong.
+      // NaN counts as an infinite error.
       worst = difference >= 0 ? std::max(worst, difference) : INFINITY;
     }
   }
   return worst / std::max(high - low, 1e-30);
 }
 
-/// Takes the worse of what `report` holds and of this gradient.
+/// Updates `report` if this gradient is worse than the worst so far.
 void compare_gradient(const at::Tensor& gradient, const ProbeCase& expected, uint64_t seed,
                       ProbeReport& report) {
   const at::Tensor flat = gradient.detach().to(at::kDouble).contiguous().reshape(-1);
@@ -63,7 +63,7 @@ void compare_gradient(const at::Tensor& gradient, const ProbeCase& expected, uin
   const double cosine = own + other == 0 ? 1 : dot / std::max(std::sqrt(own * other), 1e-300);
   const double norm = flat.norm().item<double>();
   const double ratio = norm == expected.gradient_norm ? 1 : norm / expected.gradient_norm;
-  // NaN counts as infinitely wrong.
+  // NaN counts as an infinite error.
   if (!(cosine >= report.gradient_cosine)) report.gradient_cosine = cosine;
   if (!(std::abs(ratio - 1) <= std::abs(report.gradient_ratio - 1))) report.gradient_ratio = ratio;
 }
@@ -105,7 +105,7 @@ ProbeReport probe_logits(const CardFile& file, const Logits& logits) {
   ProbeReport report;
   for (const ProbeCase& expected : file.probe.cases) {
     report.present = true;
-    std::vector<at::Tensor> answers;  // one by one: little memory
+    std::vector<at::Tensor> answers;  // one image at a time, to save memory
     for (const at::Tensor& image : images_of(expected, file).split(1)) {
       answers.push_back(logits(image));
     }

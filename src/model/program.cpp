@@ -12,8 +12,8 @@ namespace {
 
 using c10::IValue;
 
-/// A number that stands for a tensor gives way to the other operand's type, as in Python. It is
-/// made anew each time: an operator may write into it.
+/// A number in place of a tensor takes the other operand's type, as in Python. It is a new tensor
+/// each time, since an operator may write into it.
 at::Tensor to_tensor(const IValue& value) {
   if (value.isTensor()) return value.toTensor();
   if (!value.isScalar()) throw Malformed("expected a tensor or number");
@@ -113,13 +113,14 @@ class Run {
     for (size_t i = 0; i < step.outputs.size(); ++i) store(step, step.outputs[i], stack.at(i));
   }
 
-  /// The last layer gives the logits, whatever follows it.
+  /// The last layer is skipped: it gives the logits, whatever follows it.
   void tell_tap(const Step& step, torch::jit::Stack& stack) {
     if (!is_layer(step) || &step == last_layer_) return;
     stack[0] = tap_->take(layer_++, stack[0].toTensor(), is_convolution(step));
   }
 
-  /// The graph was checked for writes to weights; views that the schemas do not tell of show here.
+  /// The reader has checked the graph for writes to weights. This check also finds views that no
+  /// schema declares.
   void check_writes(const Step& step, const torch::jit::Stack& stack) const {
     const auto& arguments = step.op->schema().arguments();
     for (size_t i = 0; i < arguments.size(); ++i) {
@@ -127,7 +128,7 @@ class Run {
       if (alias == nullptr || !alias->isWrite() || !stack[i].isTensor()) continue;
       const at::Tensor& tensor = stack[i].toTensor();
       if (tensor.defined() && weight_memory_.count(tensor.storage().unsafeGetStorageImpl()) != 0) {
-        throw Malformed("writes to a weight; a victim cannot change");
+        throw Malformed("writes to a weight; a victim must not change");
       }
     }
   }

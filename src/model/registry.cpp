@@ -6,7 +6,7 @@
 
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace fs = std::filesystem;
 namespace {
 
@@ -76,4 +76,4 @@ fs::path find_model(const std::string& model) {
       kVariable));
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -23,7 +23,7 @@ std::vector<int> count_reads(const Graph& graph) {
   return reads;
 }
 
-/// Position of an argument in the schema of a step, -1 if it has none of that name.
+/// Index of an argument in the schema of a step, -1 if it has none of that name.
 int argument_index(const Step& step, const char* name) {
   const auto& arguments = step.op->schema().arguments();
   for (size_t i = 0; i < arguments.size(); ++i) {
@@ -59,8 +59,8 @@ bool is_batch_norm(const Step& step) {
          step.target == "aten::_native_batch_norm_legit_no_training";
 }
 
-/// Scale and shift per channel that a batch normalisation in evaluation mode applies, float64;
-/// undefined where a statistic is not a float weight of one dimension.
+/// Scale and shift per channel of a batch normalisation in evaluation mode, float64; undefined if a
+/// statistic is not a one-dimensional float weight.
 struct Affine {
   at::Tensor scale, shift;
 };
@@ -101,8 +101,8 @@ Input slot_input(Slot slot) {
   return input;
 }
 
-/// `weight` with every output channel multiplied by its scale. One allocation and nothing else:
-/// temporary copies would leave holes in the heap, as large as the model together.
+/// `weight` with every output channel multiplied by its scale. It allocates only the result:
+/// temporary copies would leave holes in the heap that add up to the size of the model.
 at::Tensor scaled(const at::Tensor& weight, const at::Tensor& scale, at::MemoryFormat format) {
   std::vector<int64_t> shape(static_cast<size_t>(weight.dim()), 1);
   shape[0] = -1;
@@ -111,8 +111,8 @@ at::Tensor scaled(const at::Tensor& weight, const at::Tensor& scale, at::MemoryF
   return at::mul_out(result, weight, scale.to(at::kFloat).reshape(shape));
 }
 
-/// Puts scale and shift into the convolution; false if its weight does not fit. The weight is let
-/// go at once where nothing else reads it, so that folding needs no second copy of the model.
+/// Folds scale and shift into the convolution; false if its weight does not fit. The old weight is
+/// released at once if nothing else reads it, so that folding needs no second copy of the model.
 bool fold_into(Graph& graph, Step& conv, const Affine& affine, const std::vector<int>& reads,
                at::MemoryFormat format) {
   const auto weight_index = static_cast<size_t>(argument_index(conv, "weight"));
@@ -152,7 +152,7 @@ void redirect(Graph& graph, const std::unordered_map<Slot, Slot>& moved) {
   resolve(graph.output);
 }
 
-/// A list of integers; empty where it is none, or not known before the graph runs.
+/// A list of integers; empty if it is not one, or depends on the run.
 std::vector<int64_t> integers(const Input& input) {
   if (input.kind == Input::Kind::kConstant && input.constant.isIntList()) {
     return input.constant.toIntVector();
@@ -165,7 +165,7 @@ std::vector<int64_t> integers(const Input& input) {
   return values;
 }
 
-/// Pads with constant zeros.
+/// True for padding with zeros.
 bool is_zero_padding(const Step& step) {
   const bool pads = step.target == "aten::constant_pad_nd" || step.target == "aten::pad";
   if (!pads || argument(step, "self").kind != Input::Kind::kSlot) return false;
@@ -179,8 +179,8 @@ bool is_zero_padding(const Step& step) {
          (value.constant.isScalar() && value.constant.toScalar().toDouble() == 0);
 }
 
-/// Adds pad (left, right, top, bottom) to the convolution's own; false where it is not alike on
-/// both sides.
+/// Adds pad (left, right, top, bottom) to the convolution's own padding; false if it is not
+/// symmetric.
 bool add_padding(Step& conv, const std::vector<int64_t>& pad) {
   const bool alike = pad.size() == 4 && pad[0] == pad[1] && pad[2] == pad[3];
   if (!alike || pad[0] < 0 || pad[2] < 0) return false;
@@ -215,7 +215,7 @@ bool returns_view(const Step& step) {
   });
 }
 
-/// True if some step writes into the memory of another value through a view.
+/// True if a step writes into another value's memory through a view.
 bool writes_through_views(const Graph& graph) {
   std::unordered_set<Slot> views;
   for (const Step& step : graph.steps) {

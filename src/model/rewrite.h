@@ -4,26 +4,26 @@
 
 namespace tt3d::model {
 
-/// Folds a batch normalisation that directly follows a convolution, and is the only user of its
-/// result, into the convolution's weight and bias; weights of 2D convolutions are laid out as
-/// `format` says. Returns how many.
+/// Folds batch normalisations into the weight and bias of the convolution before them. The batch
+/// normalisation must directly follow the convolution and be the only user of its result. Weights
+/// of 2D convolutions get the memory format `format`. Returns the number folded.
 int fold_batch_norms(Graph& graph, at::MemoryFormat format);
 
-/// Turns the batch normalisations that remain into one multiply-add with constants. That is less
-/// work, and right: the backward of torch's batch_norm on the CPU (2.11) reads a gradient in the
-/// wrong order at batch 1 when its strides could be channels-last (docs/model.md, "Caveats").
-/// Returns how many.
+/// Turns each remaining batch normalisation into one multiply-add with constants. That is faster,
+/// and it avoids an error: the backward pass of torch's batch_norm on the CPU (2.11) reads a
+/// gradient in the wrong order at batch 1 if its strides could be channels-last (docs/model.md,
+/// "Caveats"). Returns the number changed.
 int simplify_batch_norms(Graph& graph);
 
-/// Gives convolutions the zeros that a padding before them adds alike on both sides, where nothing
-/// else reads the padded picture: no copy of it is made. Returns how many.
+/// Moves a symmetric zero padding into the convolution after it, if nothing else reads the padded
+/// picture; this saves a copy. Returns the number folded.
 int fold_paddings(Graph& graph);
 
-/// False where the graph depends on the layout of its intermediate results (writes through views)
-/// or has no 2D convolutions.
+/// False if the graph depends on the layout of its intermediate results (writes through views) or
+/// has no 2D convolution.
 [[nodiscard]] bool can_use_channels_last(const Graph& graph);
 
-/// Stores convolution weights channels-last and turns `view` into `reshape`, which holds for any
+/// Stores convolution weights channels-last, and turns `view` into `reshape`, which supports any
 /// memory layout.
 void use_channels_last(Graph& graph);
 

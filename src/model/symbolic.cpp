@@ -37,7 +37,7 @@ int64_t checked(bool overflow, int64_t result) {
   return result;
 }
 
-/// Rounds towards minus infinity, as Python does.
+/// Rounds towards minus infinity, as in Python.
 int64_t floor_divide(int64_t a, int64_t b) {
   if (b == 0 || (a == INT64_MIN && b == -1)) throw Malformed("division by zero or overflow");
   const int64_t quotient = a / b;

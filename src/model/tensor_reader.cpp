@@ -12,19 +12,19 @@ namespace {
 using Json = nlohmann::json;
 
 constexpr int64_t kStridedLayout = 7;
-/// That of torch's own allocations, and of the weights in archives that torch writes.
+/// The alignment of torch's own allocations, and of weights in the archives that torch writes.
 constexpr uintptr_t kAlignment = 64;
 
-/// A uint8 tensor over a part of a mapped file, which it keeps alive; when the last tensor on it
-/// goes, as after folding, its memory goes too.
+/// A uint8 tensor over a part of a mapped file, which it keeps alive. When the last tensor over the
+/// part is freed (e.g. after folding), the memory is released too.
 at::Tensor view_of_file(const std::shared_ptr<const MappedFile>& file, std::string_view part) {
-  // Nothing writes through it: the graph is checked for that, and the mapping is read-only.
+  // Nothing writes through it: the graph is checked for writes, and the mapping is read-only.
   return at::from_blob(
       const_cast<char*>(part.data()), {static_cast<int64_t>(part.size())},
       [file, part](void*) { file->release(part); }, at::TensorOptions(at::kByte));
 }
 
-/// A folder of payloads: its files are read once, however many tensors view them.
+/// A folder of payloads. Each file is read once, even if several tensors view it.
 class PayloadFolder {
  public:
   PayloadFolder(const Archive& archive, std::string folder, const ModelLimits& limits)
@@ -49,7 +49,7 @@ class PayloadFolder {
   }
 
  private:
-  /// In the mapped archive where the data lies there as it is, else a copy.
+  /// Returns the mapped bytes if the archive stores them plainly, else a copy.
   at::Tensor load(const std::string& name, int64_t size) const {
     const auto data = archive_.mapped(name);
     if (data && reinterpret_cast<uintptr_t>(data->data()) % kAlignment == 0) {
@@ -98,7 +98,7 @@ void check_extent(const std::vector<int64_t>& sizes, const std::vector<int64_t>&
   }
 }
 
-/// Zero strides may repeat elements; operators that copy them still stay within `limit` bytes.
+/// Strides of zero repeat elements; a copy of such a view must stay within `limit` bytes too.
 void check_bytes(const std::vector<int64_t>& sizes, int64_t element_bytes, int64_t limit) {
   int64_t bytes = element_bytes;
   for (const int64_t size : sizes) {
@@ -123,7 +123,7 @@ at::Tensor view_of(const at::Tensor& bytes, const Json& meta, const ModelLimits&
   check_extent(sizes, strides, offset, available);
   check_bytes(sizes, element_bytes, limits.tensor_bytes);
   if (bytes.numel() == 0) return at::empty(sizes, type);
-  // A bool must be 0 or 1 in memory, whatever the file holds.
+  // A bool must be 0 or 1 in memory, whatever the file contains.
   const at::Tensor elements =
       type == at::kBool ? bytes.ne(0) : bytes.narrow(0, 0, available * element_bytes).view(type);
   return elements.as_strided(sizes, strides, offset);
@@ -142,7 +142,7 @@ void read_config(const Archive& archive, const std::string& folder, const std::s
       const at::Tensor& bytes = payloads.bytes(entry.at("path_name").get<std::string>());
       const at::Tensor tensor = view_of(bytes, entry.at("tensor_meta"), limits);
       if (!tensors.emplace(name, NamedTensor{tensor, entry.at("is_param").get<bool>()}).second) {
-        throw Malformed("is there twice");
+        throw Malformed("appears twice");
       }
     } catch (const std::runtime_error& error) {
       throw Malformed(fmt::format("weight '{}': {}", name, error.what()));

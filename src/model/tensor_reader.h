@@ -18,8 +18,8 @@ struct NamedTensor {
 /// The scalar type of a number in torch's export schema; throws Malformed for unknown ones.
 [[nodiscard]] at::ScalarType scalar_type_of(int64_t code);
 
-/// Reads all weights and constants; names that share a file share its memory. Throws Malformed
-/// for pickled payloads and for tensors that reach beyond their file.
+/// Reads all weights and constants; names with the same file share its memory. Throws Malformed for
+/// pickled payloads and for tensors that extend beyond their file.
 [[nodiscard]] std::map<std::string, NamedTensor> read_tensors(const Archive& archive,
                                                               const std::string& model,
                                                               const ModelLimits& limits);

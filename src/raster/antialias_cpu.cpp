@@ -8,7 +8,7 @@
 namespace tt3d::raster {
 namespace {
 
-/// Marks the pixels of a row that show a face with a silhouette edge; others may border on one.
+/// Marks the pixels of a row whose face has a silhouette edge.
 template <typename T>
 void mark_row(const AntialiasView<T>& view, const T* rast, int64_t width, uint8_t* marks) {
   for (int64_t x = 0; x < width; ++x) {
@@ -17,14 +17,15 @@ void mark_row(const AntialiasView<T>& view, const T* rast, int64_t width, uint8_
   }
 }
 
-/// Views in parallel, the pixels of each in order, so that sums get the same bytes with any number
-/// of threads. Leaves out pixels without a silhouette there, to the right or below: nearly all.
+/// Views in parallel, the pixels of a view in order, so that sums have the same bytes with any
+/// number of threads. Skips pixels with no mark at themselves, their right or their lower
+/// neighbour, i.e. nearly all.
 template <typename Body>
 void for_each_marked_pixel(const Body& body) {
   constexpr int64_t kMarks = sizeof(uint64_t);
   const Sizes& s = body.s;
   for_each_task(s.views, [&](int64_t n) {
-    // A row's marks, and those of pixels beyond its end: none.
+    // The marks of a row and of its padding, which are 0.
     std::vector<uint8_t> marks(s.width + kMarks + 1), below(marks);
     const auto view = body.scene.view(n, s);
     const auto* rast = body.scene.rast + n * s.height * s.width * 4;
@@ -46,7 +47,7 @@ void for_each_marked_pixel(const Body& body) {
   });
 }
 
-/// Faces [first,last) of all views, four of a view at once.
+/// Faces [first,last) of all views, four faces of a view at once.
 template <typename T>
 TT3D_HD void face_range(const FacingFace<T>& body, int64_t first, int64_t last) {
   const Sizes& s = body.s;
@@ -67,7 +68,7 @@ TT3D_HD void face_range(const FacingFace<T>& body, int64_t first, int64_t last) 
   }
 }
 
-// target_clones needs plain functions.
+// Macros, because target_clones does not apply to templates.
 #define TT3D_FACING_LOOP(T)                                                                \
   TT3D_CPU_LOOP void facing_loop(const FacingFace<T>& body, int64_t first, int64_t last) { \
     face_range(body, first, last);                                                         \

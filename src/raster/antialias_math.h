@@ -2,13 +2,13 @@
 
 #include "rasterize_math.h"
 
-/// Bodies of antialias: one pixel with its neighbours to the right and below.
+/// Bodies of antialias: a pixel with its neighbours to the right and below.
 namespace tt3d::raster {
 
 /// A silhouette edge between the centres of pixels A and B.
 struct EdgeCrossing {
   int32_t v0, v1;   ///< the edge's vertices
-  double position;  ///< where it crosses, 0 at A's centre, 1 at B's
+  double position;  ///< of the crossing: 0 at A's centre, 1 at B's
   bool near_is_a;   ///< the edge's triangle is the one seen at A
 };
 
@@ -25,11 +25,12 @@ TT3D_HD Relative relative_to(const T* clip, int32_t vertex, double px, double py
 
 TT3D_HD double cross(const Relative& p, const Relative& q) { return p.x * q.y - p.y * q.x; }
 
-/// The view of face i of all views. (A division costs as much as the rest of a face.)
+/// The view of face i of all views. (The first view avoids the division, which costs as much as the
+/// rest of the body.)
 TT3D_HD int64_t view_of_face(int64_t i, const Sizes& s) { return i < s.faces ? 0 : i / s.faces; }
 
-/// The determinant of a triangle's clip positions without z, which has the sign of its area on the
-/// screen, also where vertices are behind the camera (Olano & Greer 1997).
+/// The determinant of a triangle's clip positions without z. It has the sign of the triangle's area
+/// on the screen, even if vertices are behind the camera (Olano & Greer 1997).
 template <typename Value>
 TT3D_HD Value turn_of(const FlatVertex<Value> corner[3]) {
   const FlatVertex<Value>&a = corner[0], &b = corner[1], &c = corner[2];
@@ -37,7 +38,7 @@ TT3D_HD Value turn_of(const FlatVertex<Value> corner[3]) {
          a.w * (b.x * c.y - b.y * c.x);
 }
 
-/// Body: which way face i (of all views) is turned, 1 where its vertices go counter-clockwise.
+/// Body: orientation of face i (of all views), 1 if its vertices go counter-clockwise.
 template <typename T>
 struct FacingFace {
   const T* clip;
@@ -54,8 +55,8 @@ struct FacingFace {
   }
 };
 
-/// Body: which edges of face i (of all views) are silhouettes, bit k for edge k: those where both
-/// faces lie on the same side on the screen, and those without a second face.
+/// Body: the silhouette edges of face i (of all views), bit k for edge k. An edge is a silhouette
+/// if both of its faces lie on the same side of it on the screen, or if it has no second face.
 struct SilhouetteEdges {
   const int32_t* faces;
   const int32_t* twins;   ///< [F,3], from edge_twins
@@ -75,7 +76,7 @@ struct SilhouetteEdges {
       }
       const uint32_t at = static_cast<uint32_t>(twin), other = at / 3;
       const uint32_t next = at == 3 * other + 2 ? at - 2 : at + 1;
-      // Faces of one orientation run along their common edge in opposite directions.
+      // Two faces with the same orientation traverse their common edge in opposite directions.
       const bool agree = faces[next] == faces[side + (k + 2) % 3];
       bits |= static_cast<unsigned>((turned[i - first] == turned[other]) ^ agree) << k;
     }
@@ -83,7 +84,7 @@ struct SilhouetteEdges {
   }
 };
 
-/// What antialias reads of one view.
+/// Inputs of antialias for one view.
 template <typename T>
 struct AntialiasView {
   const T* clip;              ///< [V,4]
@@ -91,8 +92,8 @@ struct AntialiasView {
   const uint8_t* silhouette;  ///< [F], from SilhouetteEdges
 };
 
-/// Finds the silhouette edge of the nearer of two pixels' triangles that passes between the pixel
-/// centres A = (ax,ay) and B = (bx,by). The pair is horizontal or vertical.
+/// Finds a silhouette edge that passes between the pixel centres A = (ax,ay) and B = (bx,by). The
+/// edge belongs to the nearer of the two pixels' triangles. The pair is horizontal or vertical.
 template <typename T>
 TT3D_HD bool find_crossing(const AntialiasView<T>& view, const T* rast_a, const T* rast_b,
                            double ax, double ay, double bx, double by, bool horizontal,
@@ -112,7 +113,7 @@ TT3D_HD bool find_crossing(const AntialiasView<T>& view, const T* rast_a, const 
     if (!(p0.w > 0) || !(p1.w > 0)) continue;
     const Relative a0 = {p0.x - ax * p0.w, p0.y - ay * p0.w};
     const Relative a1 = {p1.x - ax * p1.w, p1.y - ay * p1.w};
-    // The edge must span the pixels' common line.
+    // The edge must span the line through both pixels.
     const bool spans = horizontal ? (a0.y > 0) != (a1.y > 0) : (a0.x > 0) != (a1.x > 0);
     if (!spans) continue;
     const double e_a = cross(a0, a1);
@@ -127,8 +128,8 @@ TT3D_HD bool find_crossing(const AntialiasView<T>& view, const T* rast_a, const 
   return false;
 }
 
-/// How far a crossing blends: the pixel that the edge cuts receives this share of the other one.
-/// Covered length of A..B by the near side, beyond (or short of) the midpoint between them.
+/// Blending at a crossing: the pixel cut by the edge receives a fraction of the other pixel's
+/// colour. The weight is the distance from the crossing to the midpoint of A..B.
 struct Blend {
   bool into_a;    ///< A receives B's colour (else B receives A's)
   double weight;  ///< in [0, 0.5]
@@ -136,8 +137,8 @@ struct Blend {
 };
 
 TT3D_HD Blend blend_of(const EdgeCrossing& crossing) {
-  // The near surface reaches from its own pixel up to the crossing. Past the midpoint it spills
-  // into the other pixel; short of it, the other pixel's surface spills into the near one.
+  // The near surface reaches from its own pixel to the crossing. Beyond the midpoint it covers a
+  // part of the other pixel; short of it, the other surface covers a part of the near pixel.
   const double position = crossing.position;
   if (position >= 0.5) return {false, position - 0.5, 1.0};
   return {true, 0.5 - position, -1.0};
@@ -167,7 +168,7 @@ TT3D_HD void crossing_backward(const T* clip, const EdgeCrossing& crossing, doub
   grad1[3] -= grad_a * (-ax * a0.y + ay * a0.x) + grad_b * (-bx * b0.y + by * b0.x);
 }
 
-/// What antialias reads of all views.
+/// Inputs of antialias for all views.
 template <typename T>
 struct AntialiasScene {
   const T* rast;
@@ -186,8 +187,8 @@ struct CrossedPair {
   EdgeCrossing crossing;
 };
 
-/// The pair of a pixel and its neighbour to the right or below; false when there is none or no
-/// silhouette lies between them.
+/// The pair of a pixel and its neighbour to the right or below; false if there is no such neighbour
+/// or no silhouette between them.
 template <typename T>
 TT3D_HD bool crossed_pair(const AntialiasScene<T>& scene, const Sizes& s, const PixelPlace& at,
                           bool horizontal, CrossedPair& pair) {

@@ -5,7 +5,8 @@
 namespace tt3d::raster {
 namespace {
 
-/// Rows [first,last) of all views. Neighbouring pixels mostly show the same triangle.
+/// Derivatives for rows [first,last) of all views. Neighbouring pixels usually show the same
+/// triangle.
 template <typename T, typename Channels>
 TT3D_HD void derive_rows(const AttributeDerivativesPixel<T>& body, int64_t first, int64_t last,
                          const Channels& channels) {
@@ -25,13 +26,13 @@ TT3D_HD void derive_rows(const AttributeDerivativesPixel<T>& body, int64_t first
   }
 }
 
-/// The first numbers of a vector; the others are 0.
+/// Loads the first kCount numbers of a vector; the others are 0.
 template <typename T, int64_t kCount>
 TT3D_HD Row<T> load_first(const T* from) {
   if constexpr (kCount == kLanes) return load<Row<T>>(from);
   Row<T> v = {from[0], from[1]};
   if constexpr (sizeof(T) == sizeof(float)) {
-    // Both in one load, which the compiler does not see by itself.
+    // One load for both numbers; the compiler does not combine two by itself.
     typedef int64_t Pairs __attribute__((vector_size(2 * sizeof(int64_t))));
     v = reinterpret_cast<Row<T>>(Pairs{load<int64_t>(from), 0});
   }
@@ -39,7 +40,8 @@ TT3D_HD Row<T> load_first(const T* from) {
   return v;
 }
 
-/// Pixel i's gradients where a vertex's attributes fit into a vector: as the body's, in vectors.
+/// Gradients of pixel i if a vertex's attributes fit into a vector: the same maths as the body's,
+/// with vectors.
 template <typename T, int64_t kChannels>
 TT3D_HD void spread_short(const InterpolateBackwardPixel<T>& body, int64_t i,
                           const PartSums<T>& sums) {
@@ -89,8 +91,9 @@ TT3D_HD void spread_long(const InterpolateBackwardPixel<T>& body, int64_t i,
   }
 }
 
-/// Adds the gradients of pixels [first,last) in their order; sums without rows where none are
-/// wanted. Copies of the arguments, which what is written cannot change, stay in registers.
+/// Adds the gradients of pixels [first,last) in pixel order; `sums` has no rows if the attributes
+/// need no gradient. (The arguments are copies: the compiler knows that no write changes them, and
+/// keeps them in registers.)
 template <typename T>
 TT3D_HD void spread_pixels(const InterpolateBackwardPixel<T> body, int64_t first, int64_t last,
                            const PartSums<T> sums) {
@@ -105,7 +108,7 @@ TT3D_HD void spread_pixels(const InterpolateBackwardPixel<T> body, int64_t first
   });
 }
 
-// target_clones needs plain functions.
+// Macros, because target_clones does not apply to templates.
 #define TT3D_INTERPOLATE_LOOPS(T)                                                                \
   TT3D_CPU_LOOP void write_loop(const InterpolatePixel<T>& body, int64_t first, int64_t last) {  \
     with_channels(body.s.channels, [&](auto channels) TT3D_INLINE {                              \
@@ -149,7 +152,7 @@ void scatter(const Cpu&, const InterpolateBackwardPixel<T>& body) {
   const auto add = [&](int64_t /*group*/, int64_t first, int64_t last, const PartSums<T>& sums) {
     spread_loop(body, first, last, sums);
   };
-  // Rows of two or three numbers are added to as vectors of four (with_channels).
+  // With two or three channels a row is padded to a vector of four numbers (see with_channels).
   const int64_t channels = body.s.channels;
   const int64_t stride = channels == 2 || channels == 3 ? kLanes : channels;
   scatter_in_parts(1, body.s.pixels(), {body.s.vertices, channels, stride}, body.grad_attributes,

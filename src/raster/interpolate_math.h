@@ -42,7 +42,7 @@ struct InterpolatePixel {
   }
 };
 
-/// Overwrites grad_rast, of which u and v are not constants, and adds to the attributes' gradients.
+/// Overwrites grad_rast, where only u and v have a gradient, and adds to the attributes' gradients.
 template <typename T>
 struct InterpolateBackwardPixel {
   const T* attributes;
@@ -52,11 +52,11 @@ struct InterpolateBackwardPixel {
   T* grad_attributes;  ///< may be null
   T* grad_rast;        ///< may be null
   Sizes s;
-  /// The triangle that pixel i shows, -1 where it shows none.
+  /// The triangle at pixel i, -1 on the background.
   [[nodiscard]] TT3D_HD int64_t face_at(int64_t i) const {
     return static_cast<int64_t>(rast[4 * i + 3]) - 1;
   }
-  /// Of a corner of the triangle at covered pixel i.
+  /// Barycentric weight of a corner of the triangle at covered pixel i.
   [[nodiscard]] TT3D_HD T weight(int64_t i, int corner) const {
     const T u = rast[4 * i], v = rast[4 * i + 1];
     return corner == 0 ? u : corner == 1 ? v : 1 - u - v;
@@ -96,7 +96,7 @@ struct AttributeDerivativesPixel {
     write(i, face, slopes, pixel_x(at.column, s.width), pixel_y(at.row, s.height), PixelSteps(s),
           s.channels);
   }
-  /// The triangle that pixel i shows, -1 where it shows none.
+  /// The triangle at pixel i, -1 on the background.
   [[nodiscard]] TT3D_HD int64_t face_at(int64_t i) const {
     return static_cast<int64_t>(rast[4 * i + 3]) - 1;
   }

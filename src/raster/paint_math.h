@@ -7,10 +7,10 @@
 /// Bodies of paint_pixels: one covered pixel.
 namespace tt3d::raster {
 
-/// Channel of alpha in a painted picture: behind the colours, before what else there is.
+/// Channel of alpha in a painted picture: after the three colours, before the other channels.
 constexpr int64_t kAlpha = 3;
 
-/// Channel of the picture that row c of the colours is.
+/// Channel of the picture for row c of the colours.
 TT3D_HD int64_t painted_channel(int64_t c) { return c < kAlpha ? c : c + 1; }
 
 template <typename T>

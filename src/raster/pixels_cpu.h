@@ -10,10 +10,10 @@
 
 namespace tt3d::raster {
 
-/// Least pixels that are worth a thread.
+/// Smallest number of pixels worth a task of its own.
 constexpr int64_t kPixelsATask = 1024;
 
-/// Calls visit(channels) with a number that the compiler knows where it is a usual one.
+/// Calls visit(channels); for the usual channel counts the argument is a compile-time constant.
 template <typename Visit>
 TT3D_HD void with_channels(int64_t channels, const Visit& visit) {
   switch (channels) {
@@ -28,26 +28,27 @@ TT3D_HD void with_channels(int64_t channels, const Visit& visit) {
   }
 }
 
-/// Of a function object within a loop: so that it is compiled for the loop's processor.
+/// Force-inlines a lambda, so that it is compiled for the instruction set of the loop around it. A
+/// macro, because compilers differ in the attribute's spelling.
 #define TT3D_INLINE __attribute__((always_inline))
 
-/// Rows of sums that pixels share.
+/// Layout of the sums that pixels share.
 struct SumRows {
   int64_t count, length;
-  int64_t stride;  ///< from a row to the next while they are added to; at least the length
+  int64_t stride;  ///< of a row while sums are added; at least the length
 };
 
-/// What a part of the pixels adds to the rows. Only blocks of rows that it adds to are cleared, and
-/// read in the end: a part of a picture shows a part of the mesh.
+/// The sums of one part of the pixels. A part of a picture shows a part of the mesh, so rows are
+/// cleared, and added to the result, only in blocks that the part touches.
 template <typename T>
 struct PartSums {
   static constexpr int64_t kBlock = 64;
   T* rows;
-  uint8_t* touched;  ///< of each block
+  uint8_t* touched;  ///< one flag per block
   int64_t stride;
 
   TT3D_HD static int64_t block_of(int32_t r) { return static_cast<uint32_t>(r) / kBlock; }
-  /// To be called before rows are added to.
+  /// Call it before adding to these rows.
   TT3D_HD void touch(int32_t a, int32_t b, int32_t c) const {
     const unsigned all = touched[block_of(a)] & touched[block_of(b)] & touched[block_of(c)];
     if (__builtin_expect(all == 0, 0)) clear(a), clear(b), clear(c);
@@ -60,9 +61,10 @@ struct PartSums {
   }
 };
 
-/// Adds to sums that pixels share: of each group (say, a view) some rows. Calls add(group, first,
-/// last, part) for parts of each group's pixels, which have sums of their own. These are added in
-/// their order, and the parts do not depend on the threads: neither do the bytes of the result.
+/// Scatter-add with a deterministic result. Each group (e.g. a view) has its own rows of sums.
+/// Calls add(group, first, last, part) for parts of each group's pixels; every part has its own
+/// sums, which are then added in order. The parts do not depend on the number of threads, nor do
+/// the result's bytes.
 template <typename T, typename Add>
 void scatter_in_parts(int64_t groups, int64_t pixels, const SumRows& rows, T* sums,
                       const Add& add) {

@@ -1,7 +1,7 @@
 #include "raster_kernels.h"
 #include "tt3d/cuda.h"
 
-// The bodies that the GPU runs a pixel or a face a thread.
+// Bodies that run on the GPU with one thread per pixel, texel or face.
 namespace tt3d {
 
 #define TT3D_INSTANTIATE(T)                                                                        \

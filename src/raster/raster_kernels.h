@@ -7,20 +7,20 @@
 #include "paint_math.h"
 #include "texture_math.h"
 
-/// Loops over the raster bodies that need more than for_each_index: plain pointers in, plain
-/// pointers out. Gradients add to zeroed buffers. On the CPU every result has the same bytes with
+/// Loops over the raster bodies that need more than for_each_index. Inputs and outputs are plain
+/// pointers. Gradients are added to zeroed buffers. On the CPU every result has the same bytes with
 /// any number of threads.
 namespace tt3d::raster {
 
 template <typename T>
 void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const Sizes& s);
 
-/// What the GPU's rasterize draws into; the memory is the caller's.
+/// Working memory of rasterize on the GPU; the caller owns it.
 struct DepthBuffer {
-  uint64_t* depth;  ///< [N,H,W] bits all set; the least depth so far, as a number that orders alike
-  uint32_t* face;   ///< [N,H,W] bits all set; the lowest triangle at that depth
-  int32_t* list;    ///< [N * F] triangles that more than a thread shall draw
-  int64_t* listed;  ///< [2] zeros; how many of them from the list's begin, and from its end
+  uint64_t* depth;  ///< [N,H,W] starts with all bits set; least depth so far, as an ordered integer
+  uint32_t* face;   ///< [N,H,W] starts with all bits set; the lowest triangle at that depth
+  int32_t* list;    ///< [N * F] triangles large enough to be split between threads
+  int64_t* listed;  ///< [2] zeros; number of list entries at the front, and at the back
 };
 /// Writes every pixel of rast. N * F below 2^31.
 template <typename T>
@@ -60,7 +60,7 @@ void for_each_texel(const Cuda& on, const Body& body) {
   for_each_index(on, body.count(), body);
 }
 
-// Bodies that add to sums which pixels share: in pixel order here, in any order on the GPU.
+// Bodies that add to sums shared by several pixels: in pixel order here, in any order on the GPU.
 template <typename T>
 void scatter(const Cpu&, const RasterizeBackwardPixel<T>& body);
 template <typename T>

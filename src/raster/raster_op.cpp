@@ -9,8 +9,9 @@
 #include "raster_kernels.h"
 #include "tt3d/device.h"
 
-// The only file of the room with torch: checks, allocation, autograd, choice of the device.
-namespace tt3d {
+// The operators' checks, allocation, autograd and choice of the device. No other file of the room
+// includes torch.
+namespace tt3d::raster {
 namespace {
 
 using at::Tensor;
@@ -32,10 +33,7 @@ raster::Sizes sizes_of(const Tensor& rast, const Tensor& faces, int64_t vertices
   return {rast.size(0), vertices, faces.size(0), rast.size(1), rast.size(2), channels};
 }
 
-#define TT3D_DISPATCH(TENSOR, NAME, ...) \
-  AT_DISPATCH_FLOATING_TYPES((TENSOR).scalar_type(), NAME, __VA_ARGS__)
-
-/// Where a gradient goes; null where it is not asked for.
+/// Pointer to a gradient's data; null if the gradient is not wanted.
 template <typename T>
 T* pointer_or_null(const Tensor& t) {
   return t.defined() ? t.mutable_data_ptr<T>() : nullptr;
@@ -70,9 +68,9 @@ struct Rasterize : public Function<Rasterize> {
   static Tensor forward(AutogradContext* ctx, const Tensor& clip_in, const Tensor& faces,
                         int64_t height, int64_t width) {
     const Tensor clip = clip_in.contiguous();
-    Tensor rast = at::empty({clip.size(0), height, width, 4}, clip.options());  // all are written
+    Tensor rast = at::empty({clip.size(0), height, width, 4}, clip.options());  // fully written
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
-    TT3D_DISPATCH(clip, "rasterize", [&] {
+    AT_DISPATCH_FLOATING_TYPES(clip.scalar_type(), "rasterize", [&] {
       on_device_of(clip,
                    [&](const auto& on) { run_rasterize<scalar_t>(on, clip, faces, rast, s); });
     });
@@ -85,7 +83,7 @@ struct Rasterize : public Function<Rasterize> {
     const Tensor grad = grads[0].contiguous();
     Tensor grad_clip = at::zeros_like(clip);
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), 0);
-    TT3D_DISPATCH(clip, "rasterize_backward", [&] {
+    AT_DISPATCH_FLOATING_TYPES(clip.scalar_type(), "rasterize_backward", [&] {
       const raster::RasterizeBackwardPixel<scalar_t> body = {
           clip.const_data_ptr<scalar_t>(),        faces.const_data_ptr<int32_t>(),
           rast.const_data_ptr<scalar_t>(),        grad.const_data_ptr<scalar_t>(),
@@ -105,7 +103,7 @@ struct Interpolate : public Function<Interpolate> {
     Tensor out =
         at::empty({rast.size(0), rast.size(1), rast.size(2), channels}, attributes.options());
     const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
-    TT3D_DISPATCH(out, "interpolate", [&] {
+    AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "interpolate", [&] {
       const raster::InterpolatePixel<scalar_t> body = {
           attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
           faces.const_data_ptr<int32_t>(), out.mutable_data_ptr<scalar_t>(), s};
@@ -122,7 +120,7 @@ struct Interpolate : public Function<Interpolate> {
     if (ctx->needs_input_grad(0)) grad_attributes = at::zeros_like(attributes);
     if (ctx->needs_input_grad(1)) grad_rast = at::empty_like(rast);
     const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), attributes.size(1));
-    TT3D_DISPATCH(grad, "interpolate_backward", [&] {
+    AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "interpolate_backward", [&] {
       const raster::InterpolateBackwardPixel<scalar_t> body = {
           attributes.const_data_ptr<scalar_t>(),
           rast.const_data_ptr<scalar_t>(),
@@ -143,7 +141,7 @@ struct PaintPixels : public Function<PaintPixels> {
     const Tensor colors = colors_in.contiguous();
     const int64_t channels = colors.size(0), count = colors.size(1);
     Tensor picture = at::zeros({size, channels + 1}, colors.options());
-    TT3D_DISPATCH(colors, "paint_pixels", [&] {
+    AT_DISPATCH_FLOATING_TYPES(colors.scalar_type(), "paint_pixels", [&] {
       const raster::PaintPixel<scalar_t> body = {
           colors.const_data_ptr<scalar_t>(), pixels.const_data_ptr<int64_t>(),
           picture.mutable_data_ptr<scalar_t>(), channels, count};
@@ -156,7 +154,7 @@ struct PaintPixels : public Function<PaintPixels> {
     const Tensor pixels = ctx->get_saved_variables()[0], grad = grads[0].contiguous();
     const int64_t channels = grad.size(1) - 1, count = pixels.size(0);
     Tensor grad_colors = at::empty({channels, count}, grad.options());
-    TT3D_DISPATCH(grad, "paint_pixels_backward", [&] {
+    AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "paint_pixels_backward", [&] {
       const raster::PaintBackwardPixel<scalar_t> body = {
           grad.const_data_ptr<scalar_t>(), pixels.const_data_ptr<int64_t>(),
           grad_colors.mutable_data_ptr<scalar_t>(), channels, count};
@@ -173,12 +171,12 @@ raster::AntialiasScene<T> scene_of(const Tensor& rast, const Tensor& clip, const
           silhouette.const_data_ptr<uint8_t>()};
 }
 
-/// Which edges of each face are silhouettes in each view, [N,F] uint8.
+/// The silhouette edges of each face in each view: [N,F] uint8, bit k for edge k.
 Tensor silhouette_edges(const Tensor& clip, const Tensor& faces, const Tensor& twins,
                         const raster::Sizes& s) {
   Tensor facing = at::empty({s.views, s.faces}, faces.options().dtype(at::kByte));
   Tensor edges = at::empty_like(facing);
-  TT3D_DISPATCH(clip, "antialias_facing", [&] {
+  AT_DISPATCH_FLOATING_TYPES(clip.scalar_type(), "antialias_facing", [&] {
     const raster::FacingFace<scalar_t> body = {clip.const_data_ptr<scalar_t>(),
                                                faces.const_data_ptr<int32_t>(),
                                                facing.mutable_data_ptr<uint8_t>(), s};
@@ -199,7 +197,7 @@ struct Antialias : public Function<Antialias> {
     Tensor out = color.clone();
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
     const Tensor silhouette = silhouette_edges(clip, faces, twins, s);
-    TT3D_DISPATCH(out, "antialias", [&] {
+    AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "antialias", [&] {
       const raster::AntialiasPixel<scalar_t> body = {
           scene_of<scalar_t>(rast, clip, faces, silhouette), color.const_data_ptr<scalar_t>(),
           out.mutable_data_ptr<scalar_t>(), s};
@@ -216,7 +214,7 @@ struct Antialias : public Function<Antialias> {
     Tensor grad_clip;
     if (ctx->needs_input_grad(2)) grad_clip = at::zeros_like(clip);
     const raster::Sizes s = sizes_of(rast, faces, clip.size(1), color.size(3));
-    TT3D_DISPATCH(grad, "antialias_backward", [&] {
+    AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "antialias_backward", [&] {
       const raster::AntialiasBackwardPixel<scalar_t> body = {
           scene_of<scalar_t>(rast, clip, faces, saved[4]),
           color.const_data_ptr<scalar_t>(),
@@ -235,14 +233,14 @@ raster::MipLevel<T> level_of(const Tensor& texels, const Tensor& grad) {
   return {texels.const_data_ptr<T>(), pointer_or_null<T>(grad), texels.size(0), texels.size(1)};
 }
 
-/// The chain of 2x2 box-filtered levels down to a side of one texel or an odd size.
+/// The mipmap chain: 2x2 box-filtered levels, down to a side that is one texel or odd.
 std::vector<Tensor> mipmaps(const Tensor& texture, bool with_levels) {
   std::vector<Tensor> chain = {texture};
   while (with_levels && chain.back().size(0) % 2 == 0 && chain.back().size(1) % 2 == 0) {
     const Tensor fine = chain.back();
     const int64_t height = fine.size(0) / 2, width = fine.size(1) / 2, channels = fine.size(2);
     const Tensor coarse = at::empty({height, width, channels}, fine.options());
-    TT3D_DISPATCH(fine, "halve_texture", [&] {
+    AT_DISPATCH_FLOATING_TYPES(fine.scalar_type(), "halve_texture", [&] {
       const raster::HalveTexel<scalar_t> body = {level_of<scalar_t>(fine, Tensor()),
                                                  coarse.mutable_data_ptr<scalar_t>(), channels};
       on_device_of(fine, [&](const auto& on) { raster::for_each_texel(on, body); });
@@ -252,11 +250,12 @@ std::vector<Tensor> mipmaps(const Tensor& texture, bool with_levels) {
   return chain;
 }
 
-/// Spreads each level's gradient over the four texels it averaged, finest last.
+/// Spreads each level's gradient over the four finer texels that were averaged, from the coarsest
+/// level to the finest.
 void fold_mipmap_gradients(const std::vector<Tensor>& chain, const std::vector<Tensor>& grads) {
   for (size_t i = grads.size() - 1; i > 0; --i) {
     const Tensor& coarse = grads[i];
-    TT3D_DISPATCH(coarse, "fold_texture", [&] {
+    AT_DISPATCH_FLOATING_TYPES(coarse.scalar_type(), "fold_texture", [&] {
       const raster::FoldTexel<scalar_t> body = {level_of<scalar_t>(chain[i - 1], grads[i - 1]),
                                                 coarse.const_data_ptr<scalar_t>(), coarse.size(2)};
       on_device_of(coarse, [&](const auto& on) { raster::for_each_texel(on, body); });
@@ -287,7 +286,7 @@ struct Texture : public Function<Texture> {
     Tensor out =
         at::empty({uv.size(0), uv.size(1), uv.size(2), texture_in.size(2)}, texture_in.options());
     const raster::Sizes s = {uv.size(0), 0, 0, uv.size(1), uv.size(2), texture_in.size(2)};
-    TT3D_DISPATCH(out, "texture", [&] {
+    AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "texture", [&] {
       const raster::TexturePixel<scalar_t> body = {
           chain_of<scalar_t>(chain, {}),         uv.const_data_ptr<scalar_t>(),
           derivatives_of<scalar_t>(derivatives), rast.const_data_ptr<scalar_t>(),
@@ -311,7 +310,7 @@ struct Texture : public Function<Texture> {
       for (const Tensor& level : chain) grads.push_back(at::zeros_like(level));
     }
     const raster::Sizes s = {uv.size(0), 0, 0, uv.size(1), uv.size(2), grad.size(3)};
-    TT3D_DISPATCH(grad, "texture_backward", [&] {
+    AT_DISPATCH_FLOATING_TYPES(grad.scalar_type(), "texture_backward", [&] {
       const raster::TextureBackwardPixel<scalar_t> body = {chain_of<scalar_t>(chain, grads),
                                                            uv.const_data_ptr<scalar_t>(),
                                                            derivatives_of<scalar_t>(derivatives),
@@ -331,7 +330,7 @@ struct Texture : public Function<Texture> {
 Tensor rasterize(const Tensor& clip, const Tensor& faces, int64_t height, int64_t width) {
   TORCH_CHECK(clip.dim() == 3 && clip.size(2) == 4, "clip must be [N,V,4]");
   check_indices(faces, "faces");
-  // float32 holds integers exactly up to 2^24, and the triangle's number travels as a float.
+  // The triangle's number is stored as a float, and float32 holds integers exactly up to 2^24.
   TORCH_CHECK(faces.size(0) < (1 << 24), "at most 2^24 - 1 faces");
   check_same_device("rasterize", {clip, faces});
   return Rasterize::apply(clip, faces, height, width);
@@ -372,7 +371,7 @@ Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
   Tensor out =
       at::empty({rast.size(0), rast.size(1), rast.size(2), 2 * channels}, attributes.options());
   const raster::Sizes s = sizes_of(rast, faces, attributes.size(0), channels);
-  TT3D_DISPATCH(out, "attribute_derivatives", [&] {
+  AT_DISPATCH_FLOATING_TYPES(out.scalar_type(), "attribute_derivatives", [&] {
     const raster::AttributeDerivativesPixel<scalar_t> body = {
         attributes.const_data_ptr<scalar_t>(), rast.const_data_ptr<scalar_t>(),
         clip.const_data_ptr<scalar_t>(),       faces.const_data_ptr<int32_t>(),
@@ -384,10 +383,10 @@ Tensor attribute_derivatives(const Tensor& attributes_in, const Tensor& rast_in,
 
 Tensor edge_twins(const Tensor& faces_in) {
   check_indices(faces_in, "faces");
-  const Tensor faces = faces_in.cpu();  // once a mesh, not once a step
+  const Tensor faces = faces_in.cpu();  // once per mesh, not once per step
   struct Sides {
     int32_t count = 0;
-    int32_t sum = 0;  // of the first two sides; subtracting one's own leaves the other
+    int32_t sum = 0;  // of the first two sides; sum minus one side is the other
   };
   const int64_t count = faces.size(0);
   const int32_t* f = faces.const_data_ptr<int32_t>();
@@ -430,10 +429,10 @@ Tensor texture(const Tensor& texture, const Tensor& uv, const Tensor& uv_derivat
   check_same_device("texture", {texture, uv, uv_derivatives, rast});
   TORCH_CHECK(texture.size(0) <= (1 << 23) && texture.size(1) <= (1 << 23),
               "texture sides must be at most 2^23");
-  // Autograd wants defined tensors: an empty one stands for "no mipmaps".
+  // Autograd needs defined tensors: an empty one means "no mipmaps".
   const Tensor derivatives =
       uv_derivatives.defined() ? uv_derivatives.contiguous() : at::empty({0}, uv.options());
   return Texture::apply(texture, uv, derivatives, rast.detach().contiguous());
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::raster

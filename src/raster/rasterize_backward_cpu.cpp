@@ -5,8 +5,8 @@
 namespace tt3d::raster {
 namespace {
 
-/// Adds what `count` pixels beside each other, from pixel i on, give to the vertices of their
-/// triangles. A lane is a pixel.
+/// Adds the gradients of `count` adjacent pixels, from pixel i on, to the vertices of their
+/// triangles. One lane per pixel.
 template <typename T>
 TT3D_HD void spread_row(const RasterizeBackwardPixel<T>& body, const T* clip, int64_t i, int count,
                         const Row<double>& px, double py, const PartSums<T>& sums) {
@@ -48,8 +48,9 @@ TT3D_HD void spread_row(const RasterizeBackwardPixel<T>& body, const T* clip, in
   }
 }
 
-/// Adds the gradients of pixels [first,last) of a view to its vertices' sums, in their order.
-/// (Copies of the arguments, which what is written cannot change, stay in registers.)
+/// Adds the gradients of pixels [first,last) of a view to the sums of its vertices, in pixel order.
+/// (The arguments are copies: the compiler knows that no write changes them, and keeps them in
+/// registers.)
 template <typename T>
 TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T> body, int64_t view, int64_t first,
                            int64_t last, const PartSums<T> sums) {
@@ -69,7 +70,7 @@ TT3D_HD void spread_pixels(const RasterizeBackwardPixel<T> body, int64_t view, i
   }
 }
 
-// target_clones needs plain functions.
+// Macros, because target_clones does not apply to templates.
 #define TT3D_SPREAD_LOOP(T)                                                              \
   TT3D_CPU_LOOP void spread_loop(const RasterizeBackwardPixel<T>& body, int64_t view,    \
                                  int64_t first, int64_t last, const PartSums<T>& sums) { \

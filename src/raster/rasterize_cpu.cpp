@@ -9,22 +9,23 @@
 #include "raster_kernels.h"
 #include "rows_cpu.h"
 
-// Compiled with -ffp-contract=off: both triangles at an edge must see the same bits.
+// Compiled with -ffp-contract=off: both triangles at an edge must compute the same bits.
 namespace tt3d::raster {
 namespace {
 
-/// Triangles are taken in batches: chosen by their bounds, set up many at once, then drawn.
+/// Triangles are processed in batches: selected by their bounds, set up together, then drawn.
 constexpr int kBatch = 64;
 
-/// Columns of the blocks of pixels that are tested at once: most triangles of a fine mesh fit into
-/// one or two blocks.
+/// A block is the pixels that are tested together. Most triangles of a fine mesh cover one or two
+/// blocks.
 constexpr int kColumns = kLanes, kRows = 2;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-/// The least depth beyond the far plane: what hides a pixel that shows nothing lies before it.
+/// Depth of an empty pixel: the smallest one beyond the far plane, so that every visible triangle
+/// is nearer.
 constexpr double kBeyond = 1 + std::numeric_limits<double>::epsilon();
 
-/// A triangle that may cover pixels, and which.
+/// A triangle and the pixel range that it may cover.
 struct Candidate {
   int x_begin, y_begin, x_end, y_end;
   int32_t face;
@@ -32,7 +33,7 @@ struct Candidate {
 
 typedef Row<int32_t> Bounds;  ///< x_begin, y_begin, x_end, y_end
 
-/// As set_bounds: the pixels that three vertices allow, all at once.
+/// The pixel range of a triangle from those of its vertices, as in set_bounds, in one vector.
 TT3D_HD Bounds bounds_of(const VertexBounds& p, const VertexBounds& q, const VertexBounds& r) {
   static_assert(offsetof(VertexBounds, x_begin) == 0 && offsetof(VertexBounds, y_begin) == 4 &&
                 offsetof(VertexBounds, x_past) == 8 && offsetof(VertexBounds, y_past) == 12);
@@ -47,23 +48,23 @@ TT3D_HD bool covers_any(const Bounds& b) {
   return load<int64_t>(reinterpret_cast<const int32_t*>(&begins_before)) == -1;
 }
 
-/// What the pixels of a block's row show.
+/// State of the pixels in one row of a block.
 template <typename T>
 struct Group {
-  double depth[kColumns];                       ///< kBeyond where nothing is shown
+  double depth[kColumns];                       ///< kBeyond at empty pixels
   T u[kColumns], v[kColumns], shown[kColumns];  ///< shown: triangle + 1, or 0
 };
 
-/// What rows [y_begin,y_end) of a view show. Blocks and vectors of rows reach beyond the last row
-/// and column, and so does the memory.
+/// State of rows [y_begin,y_end) of a view. Blocks and vectors reach beyond the last row and
+/// column; the memory is padded for that.
 template <typename T>
 struct Band {
   int64_t width;
-  int64_t stride;  ///< groups from a row to the next
+  int64_t stride;  ///< groups per row
   int y_begin, y_end;
   std::vector<Group<T>> groups;
   std::vector<double> px, py;  ///< coordinates of columns and rows
-  float middle;                ///< depth beyond which triangles are drawn last
+  float middle;                ///< triangles beyond this depth are drawn last
   std::unique_ptr<Candidate[]> far;
   int64_t far_count = 0;
   Band(const Sizes& s, int64_t first, int64_t last, float middle_depth)
@@ -82,16 +83,16 @@ struct Band {
   }
 };
 
-/// A batch; what is computed has a row for each number, so that loops over its triangles become
-/// vectors.
+/// A batch of triangles as a structure of arrays, so that the compiler vectorises loops over its
+/// triangles.
 template <typename T>
 struct Batch {
   int count = 0;
   Candidate of[kBatch] = {};
   T corner[3][4][kBatch];     ///< x, y, z, w of the vertices
-  double edge[3][3][kBatch];  ///< a, b, c of their functions
-  double depth[3][kBatch];    ///< and of the depth's
-  bool drawn[kBatch];         ///< false where the functions are none
+  double edge[3][3][kBatch];  ///< a, b, c of the edge functions
+  double depth[3][kBatch];    ///< a, b, c of the depth function
+  bool drawn[kBatch];         ///< false if the triangle has no valid functions
 
   [[nodiscard]] TT3D_HD ClipVertex vertex(int k, int i) const {
     return {static_cast<double>(corner[k][0][i]), static_cast<double>(corner[k][1][i]),
@@ -109,7 +110,7 @@ struct Batch {
   }
 };
 
-/// Fills the batch with far triangles from the i-th on; returns the one after.
+/// Fills the batch with far triangles from the i-th on; returns the index after the last one taken.
 template <typename T>
 TT3D_HD int64_t choose_far(const Band<T>& band, int64_t i, Batch<T>& batch) {
   batch.count = static_cast<int>(std::min<int64_t>(kBatch, band.far_count - i));
@@ -117,8 +118,8 @@ TT3D_HD int64_t choose_far(const Band<T>& band, int64_t i, Batch<T>& batch) {
   return i + batch.count;
 }
 
-/// Loads the vertices of four triangles from the i-th on, turning rows of vertices into the
-/// batch's.
+/// Loads the vertices of four triangles from the i-th on, and transposes them into the batch's
+/// arrays.
 template <typename T>
 TT3D_HD void load_four(const T* clip, const int32_t* faces, int i, Batch<T>& batch) {
   for (int k = 0; k < 3; ++k) {
@@ -131,7 +132,7 @@ TT3D_HD void load_four(const T* clip, const int32_t* faces, int i, Batch<T>& bat
   }
 }
 
-/// Sets up the batch's triangles. (Those beyond the last are set up too, and not drawn.)
+/// Sets up the batch's triangles. (Entries beyond the last triangle are set up too, but not drawn.)
 template <typename T>
 TT3D_HD void set_up(const T* clip, const int32_t* faces, Batch<T>& batch) {
   constexpr int kStep = 8;
@@ -153,20 +154,21 @@ TT3D_HD void set_up(const T* clip, const int32_t* faces, Batch<T>& batch) {
   }
 }
 
-/// Draws into a band, a block of pixels at a time. A vector is a row of one. (Vectors of two rows
-/// would be slower: the compiler takes comparisons of more than four doubles apart.)
+/// Draws into a band, block by block. A vector holds one row of a block. (Vectors of two rows are
+/// slower: the compiler splits comparisons of more than four doubles.)
 template <typename T>
 struct Painter {
   typedef Row<double> Lanes;
   typedef Row<int64_t> Mask;
-  /// A row of a block: the values of the edges' functions, and the depth.
+  /// Edge function values and depth along one row of a block.
   struct Values {
     Lanes e[3];
     Lanes zw;
   };
   static constexpr Mask kPlace = {0, 1, 2, 3};
 
-  // Of the band; copies, which what is drawn cannot change, stay in registers.
+  // Members of the band. The compiler knows that no write changes these copies, and keeps them in
+  // registers.
   Group<T>* groups;
   int64_t stride;
   int y_begin;
@@ -179,7 +181,7 @@ struct Painter {
         px(band.px.data()),
         py(band.py.data()) {}
 
-  /// A mask for numbers of T.
+  /// Narrows a mask to the lane size of T.
   TT3D_HD static Row<WholeAs<T>> narrow(const Mask& mask) {
     if constexpr (sizeof(T) == sizeof(double)) {
       return mask;
@@ -190,15 +192,15 @@ struct Painter {
     }
   }
 
-  /// Writes the lanes of a mask.
+  /// Writes the lanes that the mask selects.
   template <typename Number>
   TT3D_HD static void put(const Row<Number>& value, const Row<WholeAs<Number>>& mask, Number* to) {
     const Row<Number> row = mask ? value : load<Row<Number>>(to);
     std::memcpy(to, &row, sizeof row);
   }
 
-  /// The lanes that a row hits without those where an edge function is 0 and which lie outside, and
-  /// without those at the depth of what is shown, unless the triangle's index is lower.
+  /// Removes lanes from `hit`: those on an edge (function value 0) that belong to the other side,
+  /// and those at the depth already shown, unless the triangle's index is lower.
   TT3D_HD static Mask settle_ties(const TriangleSetup& t, T number, const Values at,
                                   const Group<T>& group, Mask hit) {
     for (int i = 0; i < kColumns; ++i) {
@@ -209,7 +211,7 @@ struct Painter {
     return hit;
   }
 
-  /// Draws a triangle in a block, whose first row is `group`.
+  /// Draws a triangle in a block; `group` is the block's first row.
   TT3D_HD void draw_block(const TriangleSetup& t, T number, const Values (&at)[kRows],
                           Group<T>* group) const {
     Mask hit[kRows], some = {}, tied = {};
@@ -238,8 +240,8 @@ struct Painter {
     put(Row<T>{} + number, lanes, group.shown);
   }
 
-  /// Of four columns or rows from `begin` on, the depth function's part of those in [first,last),
-  /// infinity of others.
+  /// The depth function's terms for four columns or rows from `begin` on: `part` inside
+  /// [first,last), infinity outside.
   TT3D_HD static Lanes within(const Lanes& part, int begin, int first, int last) {
     return (kPlace > first - begin - 1) & (kPlace < last - begin) ? part : Lanes{} + kInfinity;
   }
@@ -253,9 +255,9 @@ struct Painter {
     return groups + (y - y_begin) * stride + static_cast<unsigned>(x) / kColumns;
   }
 
-  /// Whether all that a triangle may cover lies behind what is shown.
+  /// Whether every pixel in the triangle's bounds already shows a nearer surface.
   TT3D_HD bool is_hidden(const TriangleSetup& t) const {
-    constexpr int kAtOnce = 2;  // groups: nearly always all
+    constexpr int kAtOnce = 2;  // groups; nearly always enough for the whole triangle
     for (int x = t.x_begin & -kColumns; x < t.x_end; x += kAtOnce * kColumns) {
       for (int y = t.y_begin; y < t.y_end; y += kLanes) {
         const Group<T>* group = group_at(x, y);
@@ -273,9 +275,9 @@ struct Painter {
     return true;
   }
 
-  /// Outside the triangle's bounds the depth is infinite: nothing is drawn there. Blocks begin at
-  /// whole groups: what one triangle writes, its neighbour reads next, and processors pass that on
-  /// at once only where both are the same bytes.
+  /// Outside the triangle's bounds the depth is infinite, so nothing is drawn there. Blocks begin
+  /// at group boundaries. A neighbouring triangle soon reads what this one writes, and store
+  /// forwarding works only if load and store address the same bytes.
   TT3D_HD void draw_triangle(const TriangleSetup& t, T number) const {
     for (int x = t.x_begin & -kColumns; x < t.x_end; x += kColumns) {
       Values column;
@@ -292,7 +294,7 @@ struct Painter {
     }
   }
 
-  /// The block whose first row is kFirst of those of which `row` has the functions' parts.
+  /// Draws rows [kFirst, kFirst + kRows) of the four rows whose edge and depth terms `row` holds.
   template <int kFirst>
   TT3D_HD void draw_rows(const TriangleSetup& t, T number, const Values& column, const Values& row,
                          Group<T>* group) const {
@@ -304,7 +306,8 @@ struct Painter {
     draw_block(t, number, at, group + kFirst * stride);
   }
 
-  /// far: nearer triangles hide most of these, so that depths are tested before edges.
+  /// far: the batch holds far triangles. Nearer ones hide most of them, so their depth is tested
+  /// first.
   TT3D_HD void draw_batch(const Batch<T>& batch, bool far) const {
     for (int i = 0; i < batch.count; ++i) {
       if (!batch.drawn[i]) continue;
@@ -314,8 +317,8 @@ struct Painter {
   }
 };
 
-/// Fills the batch with the next near triangles from `face` on that may cover a pixel of the band,
-/// and lists the far ones among them; returns the one after.
+/// Fills the batch with near triangles, from `face` on, that may cover a pixel of the band. Appends
+/// the far triangles on the way to the band's list. Returns the face after the last one examined.
 template <typename T>
 TT3D_HD int64_t choose(const int32_t* faces, const VertexBounds* points, const Sizes& s,
                        const Painter<T>& painter, Band<T>& band, int64_t face, Batch<T>& batch) {
@@ -343,9 +346,9 @@ TT3D_HD int64_t choose(const int32_t* faces, const VertexBounds* points, const S
   return face;
 }
 
-/// All triangles of a view, the near half before the far half, which it mostly hides. Within a half
-/// in order: neighbours in a mesh are neighbours on the screen, so the band stays in the cache
-/// without sorting triangles into tiles first.
+/// Draws all triangles of a view: the near half first, since it hides most of the far half. Each
+/// half is drawn in mesh order. Neighbours in a mesh are neighbours on the screen, so the band
+/// stays in the cache without sorting triangles into tiles.
 template <typename T>
 TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* points,
                        const Sizes& s, Band<T>& band) {
@@ -363,7 +366,7 @@ TT3D_HD void draw_band(const T* clip, const int32_t* faces, const VertexBounds* 
   }
 }
 
-/// Turns a band's groups into rows of pixels.
+/// Copies a band's groups into rows of pixels.
 template <typename T>
 TT3D_HD void write_pixels(const Band<T>& band, T* rast) {
   for (int64_t line = 0; line < band.y_end - band.y_begin; ++line) {
@@ -380,7 +383,7 @@ TT3D_HD void write_pixels(const Band<T>& band, T* rast) {
   }
 }
 
-// target_clones needs plain functions.
+// Macros, because target_clones does not apply to templates.
 #define TT3D_RASTERIZE_LOOPS(T)                                                                 \
   TT3D_CPU_LOOP void place_loop(const T* clip, const Sizes& s, int64_t first, int64_t last,     \
                                 VertexBounds* points) {                                         \
@@ -397,8 +400,8 @@ TT3D_RASTERIZE_LOOPS(float)
 TT3D_RASTERIZE_LOOPS(double)
 #undef TT3D_RASTERIZE_LOOPS
 
-/// A depth amid a view's vertices, from some of them. It tells which triangles are drawn first, not
-/// what they show.
+/// An approximate median depth of a view's vertices, from a sample. It decides the drawing order
+/// only, not the result.
 float middle_depth(const VertexBounds* points, int64_t count) {
   constexpr int64_t kSamples = 256;
   float sum = 0, in_front = 0;
@@ -410,7 +413,8 @@ float middle_depth(const VertexBounds* points, int64_t count) {
   return sum / in_front;
 }
 
-/// Rows [y_begin,y_end) of a view, whose pixels start at `rast`. points: of its vertices.
+/// Draws rows [y_begin,y_end) of a view, whose pixels start at `rast`; points: the bounds of its
+/// vertices.
 template <typename T>
 void draw_rows(const T* clip, const int32_t* faces, const VertexBounds* points, T* rast,
                int64_t y_begin, int64_t y_end, const Sizes& s) {
@@ -421,13 +425,13 @@ void draw_rows(const T* clip, const int32_t* faces, const VertexBounds* points, 
 
 }  // namespace
 
-/// A thread draws whole views, or bands of one where there are more threads than views.
+/// A thread draws whole views, or bands of a view if there are more threads than views.
 template <typename T>
 void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const Sizes& s) {
   constexpr int64_t kLeastRows = 16;
   const int64_t share = at::get_num_threads() / std::max<int64_t>(1, s.views);
   const int64_t bands = std::clamp<int64_t>(share, 1, std::max<int64_t>(1, s.height / kLeastRows));
-  // A vertex is shared by six triangles or so, and by all bands.
+  // Computed once: about six triangles share a vertex, and all bands do.
   const auto points = std::make_unique_for_overwrite<VertexBounds[]>(s.views * s.vertices);
   at::parallel_for(0, s.views * s.vertices, 4096, [&](int64_t first, int64_t last) {
     place_loop(clip, s, first, last, points.get());

@@ -3,21 +3,22 @@
 #include "raster_kernels.h"
 #include "tt3d/cuda.h"
 
-// Triangles come in any order and still show the CPU's picture: a pixel's depth is the least of all
-// that cover it, its triangle the lowest index at that depth, and minima know no order. A thread
-// takes a small triangle, a warp a large one, many warps one that fills the picture.
+// The GPU draws triangles in any order and still gives the CPU's result. A pixel's depth is the
+// minimum over all triangles that cover it, its triangle the lowest index at that depth, and a
+// minimum does not depend on the order. One thread draws a small triangle, one warp a large one,
+// many warps one that fills the picture.
 namespace tt3d::raster {
 namespace {
 
 constexpr int kWarp = 32;
 constexpr int kBlock = 256;
-/// Pixels of a triangle's bounds up to which it is small, and up to which it is one warp's.
+/// Largest bounds, in pixels, of a small triangle and of a triangle for one warp.
 constexpr int64_t kSmall = 256, kLarge = 1 << 14;
-constexpr int64_t kSlices = 64;  ///< warps of one that is larger
-/// Blocks that share the large triangles; how many there are only the GPU knows.
+constexpr int64_t kSlices = 64;  ///< warps that share a triangle larger than kLarge
+/// Blocks that share the large triangles. Only the GPU knows how many of these there are.
 constexpr int kLargeBlocks = 1024;
 
-/// A depth in [-1,1] as a number without sign that grows with it. (0.0 makes -0 a 0.)
+/// Maps a depth in [-1,1] to an unsigned integer of the same order. (Adding 0.0 turns -0 into 0.)
 __device__ uint64_t key_of(double depth) {
   const auto bits = static_cast<uint64_t>(__double_as_longlong(depth + 0.0));
   return bits >> 63 ? ~bits : bits | uint64_t{1} << 63;
@@ -25,11 +26,11 @@ __device__ uint64_t key_of(double depth) {
 
 __device__ void put_least(uint64_t* value, uint64_t candidate) {
   static_assert(sizeof(unsigned long long) == sizeof(uint64_t));
-  if (candidate >= *value) return;  // it only sinks
+  if (candidate >= *value) return;  // the value only decreases
   atomicMin(reinterpret_cast<unsigned long long*>(value), candidate);
 }
 
-/// Triangles of all views.
+/// The triangles of all views.
 template <typename T>
 struct Triangles {
   const T* clip;
@@ -42,8 +43,8 @@ struct Triangles {
                           s.width, t);
   }
 
-  /// Calls pass(pixel of all views, depth) for every `stride`-th pixel in triangle i's bounds from
-  /// `first` to before `last` that it covers.
+  /// Calls pass(pixel of all views, depth) for pixels that triangle i covers: every `stride`-th
+  /// pixel of its bounds, from `first` up to (not including) `last`.
   template <typename Pass>
   __device__ void visit(int64_t i, const TriangleSetup& t, int64_t first, int64_t last,
                         int64_t stride, const Pass& pass) const {
@@ -64,7 +65,7 @@ __device__ int64_t pixels_of(const TriangleSetup& t) {
   return static_cast<int64_t>(t.x_end - t.x_begin) * (t.y_end - t.y_begin);
 }
 
-/// First pass: the least depth of each pixel.
+/// First pass: the minimum depth of each pixel.
 template <typename T>
 struct DepthPass {
   DepthBuffer buffer;
@@ -75,7 +76,7 @@ struct DepthPass {
   }
 };
 
-/// Second pass: the lowest triangle of those at that depth.
+/// Second pass: the lowest triangle index at that depth.
 template <typename T>
 struct FacePass {
   DepthBuffer buffer;
@@ -88,8 +89,8 @@ struct FacePass {
   }
 };
 
-/// Draws small triangles; the first pass lists the others, large ones from the list's begin, those
-/// that are larger from its end.
+/// Draws small triangles. The first pass also lists the others: triangles for one warp at the front
+/// of the list, larger ones at the back.
 template <typename T, typename Pass>
 struct SmallTriangle {
   Triangles<T> all;
@@ -108,7 +109,7 @@ struct SmallTriangle {
   }
 };
 
-/// Draws the listed ones, a warp a triangle or a slice of it.
+/// Draws the listed triangles, one warp per triangle or per slice of it.
 template <typename T, typename Pass>
 __global__ void __launch_bounds__(kBlock) large_kernel(Triangles<T> all) {
   const int64_t warp = (static_cast<int64_t>(blockIdx.x) * kBlock + threadIdx.x) / kWarp;
@@ -121,14 +122,14 @@ __global__ void __launch_bounds__(kBlock) large_kernel(Triangles<T> all) {
         work < large ? work : all.s.views * all.s.faces - 1 - (work - large) / kSlices;
     const int64_t i = all.buffer.list[place];
     TriangleSetup t;
-    if (!all.setup(i, t)) continue;  // a listed one was set up before: this succeeds again
+    if (!all.setup(i, t)) continue;  // never: it succeeded before the triangle was listed
     const int64_t pixels = pixels_of(t), slices = work < large ? 1 : kSlices;
     all.visit(i, t, slice * pixels / slices + lane, (slice + 1) * pixels / slices, kWarp,
               Pass(all, i));
   }
 }
 
-/// What a pixel shows, once its triangle is known.
+/// Writes a pixel of rast, once its triangle is known.
 template <typename T>
 struct ShownPixel {
   Triangles<T> all;
@@ -159,12 +160,12 @@ void draw(const Cuda& on, const Triangles<T>& all) {
   TT3D_CUDA_CHECK(cudaGetLastError());
 }
 
-// ---- Gradients: pixels that show the same triangle add together first ---------------------------
+// ---- Gradients: pixels that show the same triangle are summed first -----------------------------
 
-/// Lanes of a warp beside each other with the same key.
+/// A run: adjacent lanes of a warp with the same key.
 struct Run {
-  int lane, last;  ///< last: lane that ends the run
-  bool first;      ///< this lane begins it
+  int lane, last;  ///< last: the run's last lane
+  bool first;      ///< this lane is the run's first
 
   __device__ explicit Run(int64_t key) : lane(static_cast<int>(threadIdx.x) % kWarp) {
     const int64_t before = __shfl_up_sync(~0U, key, 1);
@@ -173,7 +174,7 @@ struct Run {
     const unsigned later = lane == kWarp - 1 ? 0 : begins >> (lane + 1);
     last = later == 0 ? kWarp - 1 : lane + __ffs(static_cast<int>(later)) - 1;
   }
-  /// The run's sum, for its first lane.
+  /// The run's sum; valid in its first lane.
   template <typename T>
   __device__ T sum(T value) const {
     for (int step = 1; step < kWarp; step *= 2) {
@@ -233,7 +234,7 @@ __device__ void spread_run(const InterpolateBackwardPixel<T>& body, int64_t i, b
   }
 }
 
-/// Whole warps go through the loop together: `inside` says which pixels there are.
+/// Whole warps take every iteration together; `inside` marks the lanes that have a pixel.
 template <typename Body>
 __global__ void __launch_bounds__(kBlock) run_kernel(int64_t pixels, Body body) {
   const int64_t stride = static_cast<int64_t>(gridDim.x) * kBlock;

@@ -9,13 +9,13 @@
 /// Bodies of rasterize: one triangle, one pixel. No tensor library here.
 namespace tt3d::raster {
 
-/// Sizes shared by the operators.
+/// Sizes that the operators share.
 struct Sizes {
   int64_t views, vertices, faces, height, width, channels;
   [[nodiscard]] TT3D_HD int64_t pixels() const { return views * height * width; }
 };
 
-/// Where pixel i of all views lies.
+/// View, row and column of pixel i of all views.
 struct PixelPlace {
   int64_t view, row, column;
 };
@@ -25,7 +25,7 @@ TT3D_HD PixelPlace place_of(int64_t i, const Sizes& s) {
   return {line / s.height, line % s.height, i % s.width};
 }
 
-/// A vertex in clip space, in the type of the computation.
+/// A vertex in clip space, in double precision.
 struct ClipVertex {
   double x, y, z, w;
 };
@@ -47,12 +47,13 @@ TT3D_HD ClipTriangle load_triangle(const T* clip, const int32_t* face) {
   return {{load_vertex(clip, face[0]), load_vertex(clip, face[1]), load_vertex(clip, face[2])}};
 }
 
-/// A linear function a px + b py + c of the place on the screen. Of the directed edge through two
-/// clip vertices it is positive to the left. Doubles, because the terms cancel almost completely on
-/// small triangles.
+/// A linear function a px + b py + c of the screen position. The function of a directed edge
+/// through two clip vertices is positive to its left. Doubles, because the terms cancel almost
+/// completely on small triangles.
 struct ScreenFunction {
   double a, b, c;
-  /// Its two parts, so that a column and a row of pixels need each once; the value is their sum.
+  /// The function split into a column term and a row term, so that each is computed once per column
+  /// or row; the value is their sum.
   template <typename Value>
   [[nodiscard]] TT3D_HD Value of_column(const Value& px) const {
     return a * px;
@@ -62,8 +63,8 @@ struct ScreenFunction {
     return b * py + c;
   }
   [[nodiscard]] TT3D_HD double at(double px, double py) const { return of_column(px) + of_row(py); }
-  /// Sign at (px,py), never 0 for a real edge: a pixel exactly on the edge counts as if moved by
-  /// (eps, eps^2), so that every point belongs to exactly one side, consistently at vertices too.
+  /// Sign at (px,py), never 0 for a real edge. A pixel exactly on the edge counts as if moved by
+  /// (eps, eps^2), so that every point, even at a vertex, belongs to exactly one side.
   TT3D_HD int sign_at(double value) const {
     if (value != 0) return value > 0 ? 1 : -1;
     if (a != 0) return a > 0 ? 1 : -1;
@@ -71,9 +72,9 @@ struct ScreenFunction {
   }
 };
 
-/// The edge from p to q: cross(p - P p.w, q - P q.w) expanded in the pixel P. Where products are
-/// rounded before they are subtracted (no fused multiply-adds), the edge from q to p is exactly its
-/// negative, so that both triangles at an edge see the same bits up to the sign.
+/// The edge from p to q: cross(p - P p.w, q - P q.w) expanded in the pixel P. If products are
+/// rounded before they are subtracted (no fused multiply-adds), the edge from q to p is its exact
+/// negative. Both triangles at an edge then compute the same bits up to the sign.
 TT3D_HD ScreenFunction edge_function(const ClipVertex& p, const ClipVertex& q) {
   return {p.y * q.w - p.w * q.y, p.w * q.x - p.x * q.w, p.x * q.y - p.y * q.x};
 }
@@ -83,7 +84,7 @@ TT3D_HD void edges_of(const ClipTriangle& v, ScreenFunction edge[3]) {
   for (int k = 0; k < 3; ++k) edge[k] = edge_function(v.corner[(k + 1) % 3], v.corner[(k + 2) % 3]);
 }
 
-/// What a triangle needs to be tested at pixels.
+/// The data of a triangle for tests at pixels.
 struct TriangleSetup {
   ScreenFunction edge[3];              ///< edge k is opposite vertex k; positive inside
   ScreenFunction depth;                ///< z/w, which is linear on the screen
@@ -91,11 +92,11 @@ struct TriangleSetup {
 };
 
 /// Coordinate of pixel column c in normalised device coordinates. (Value: double, or on the CPU a
-/// vector of them.)
+/// vector of doubles.)
 template <typename Value>
 TT3D_HD Value pixel_x(const Value& c, int64_t width) {
-  static_assert(!std::is_integral_v<Value>, "the result would be one, too");
-  const double inverse = 1.0 / static_cast<double>(width);  // once a loop, not once a pixel
+  static_assert(!std::is_integral_v<Value>, "an integer Value would truncate the result");
+  const double inverse = 1.0 / static_cast<double>(width);  // once per loop, not once per pixel
   return (2.0 * c + 1.0) * inverse - 1.0;
 }
 TT3D_HD double pixel_x(int64_t c, int64_t width) { return pixel_x(static_cast<double>(c), width); }
@@ -106,8 +107,8 @@ TT3D_HD double pixel_y(int64_t r, int64_t height) {
   return 1.0 - (2.0 * static_cast<double>(r) + 1.0) * inverse;
 }
 
-/// The smallest pixel in [0,limit] that is not below `value`; NaN gives 0. (Not std::ceil, which is
-/// a call on processors without SSE4.1, the build's baseline.)
+/// The smallest pixel in [0,limit] that is not below `value`; NaN gives 0. (std::ceil is a function
+/// call on processors without SSE4.1, the build's baseline.)
 TT3D_HD int pixel_from(double value, int64_t limit) {
   if (!(value > 0)) return 0;
   if (value >= static_cast<double>(limit)) return static_cast<int>(limit);
@@ -122,7 +123,7 @@ TT3D_HD int pixel_past(double value, int64_t limit) {
                                              : static_cast<int>(value) + 1;
 }
 
-/// Value: a number, or on the CPU a vector of them.
+/// Value: a number, or on the CPU a vector of numbers.
 template <typename Value>
 TT3D_HD Value least(const Value& a, const Value& b, const Value& c) {
   const Value ab = a < b ? a : b;
@@ -135,17 +136,17 @@ TT3D_HD Value greatest(const Value& a, const Value& b, const Value& c) {
   return ab > c ? ab : c;
 }
 
-/// The pixels [begin,past) that a vertex allows its triangles in x and y: a triangle's range is
-/// that from the least begin to the greatest past. All of them where it is behind the camera.
+/// The pixel range [begin,past) of one vertex. A triangle's range goes from its vertices' least
+/// begin to their greatest past. A vertex behind the camera has the whole picture as its range.
 struct VertexBounds {
   int x_begin, y_begin, x_past, y_past;
   bool in_front;  ///< of the camera
-  float depth;    ///< z/w there, to tell near from far; no test relies on it
+  float depth;    ///< z/w of the vertex, to separate near from far; the result never depends on it
 };
 
 TT3D_HD VertexBounds vertex_bounds(const ClipVertex& v, int64_t height, int64_t width) {
   if (!(v.w > 0)) return {0, 0, static_cast<int>(width), static_cast<int>(height), false, 0};
-  // A margin covers rounding, the edge functions decide.
+  // The margin covers rounding; the edge functions decide.
   constexpr double kMargin = 1e-6;
   const double inverse = 1 / v.w;
   const double x = (v.x * inverse + 1) * (0.5 * static_cast<double>(width)) - 0.5;
@@ -169,13 +170,13 @@ TT3D_HD bool set_bounds(const VertexBounds& p, const VertexBounds& q, const Vert
          (p.in_front || q.in_front || r.in_front);
 }
 
-/// The functions of a triangle: its edges', positive inside, and its depth's. False when its area
-/// on the screen is 0 or not finite; no branches, so that a loop over triangles becomes vectors.
+/// The edge functions of a triangle (positive inside) and its depth function. False if its area on
+/// the screen is 0 or not finite. There are no branches, so that loops over triangles vectorise.
 TT3D_HD bool screen_functions(const ClipTriangle& v, ScreenFunction e[3], ScreenFunction& depth) {
   edges_of(v, e);
-  // In homogeneous coordinates sum_k e_k(P) (x_k,y_k,w_k) = determinant (P,1) at every place P
-  // (Olano & Greer 1997), so sum_k e_k z_k / determinant is z/w; and with the determinant's sign
-  // all e_k are positive inside, where the surface is before the camera.
+  // In homogeneous coordinates sum_k e_k(P) (x_k,y_k,w_k) = determinant (P,1) at every position P
+  // (Olano & Greer 1997). Hence sum_k e_k z_k / determinant is z/w. Multiplied by the determinant's
+  // sign, all e_k are positive inside, where the surface is in front of the camera.
   const double determinant =
       e[0].c * v.corner[0].w + e[1].c * v.corner[1].w + e[2].c * v.corner[2].w;
   const double side = determinant > 0 ? 1.0 : -1.0;
@@ -191,14 +192,14 @@ TT3D_HD bool screen_functions(const ClipTriangle& v, ScreenFunction e[3], Screen
   return (determinant != 0) & (determinant - determinant == 0);
 }
 
-/// Prepares a triangle whose bounds are set. False as screen_functions.
+/// Computes the functions of a triangle whose bounds are set. False as in screen_functions.
 template <typename T>
 TT3D_HD bool set_functions(const T* clip, const int32_t* face, TriangleSetup& setup) {
   return screen_functions(load_triangle(clip, face), setup.edge, setup.depth);
 }
 
-/// Prepares a triangle for the whole picture. False when it cannot cover a pixel (behind the
-/// camera, no pixel centre within its bounds, no area, not finite).
+/// Sets up a triangle for the whole picture. False if it cannot cover a pixel (behind the camera,
+/// no pixel centre within its bounds, no area, not finite).
 template <typename T>
 TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, int64_t width,
                             TriangleSetup& setup) {
@@ -208,15 +209,15 @@ TT3D_HD bool setup_triangle(const T* clip, const int32_t* face, int64_t height, 
   return set_functions(clip, face, setup);
 }
 
-/// A covered pixel: the edge functions' values there, and the depth z/w.
+/// A covered pixel: the values of the edge functions and the depth z/w.
 struct Hit {
   double e[3];
   double zw;
-  /// The factor that makes the edge functions' values the perspective-correct weights.
+  /// Factor that turns the edge function values into perspective-correct barycentric weights.
   [[nodiscard]] TT3D_HD double scale() const { return 1 / (e[0] + e[1] + e[2]); }
 };
 
-/// Whether the pixel at which the edge functions have values e lies inside.
+/// Whether the pixel with edge function values e lies inside.
 TT3D_HD bool inside(const TriangleSetup& t, const double e[3]) {
   const double smallest = least(e[0], e[1], e[2]);
   if (smallest != 0) return smallest > 0;
@@ -226,24 +227,18 @@ TT3D_HD bool inside(const TriangleSetup& t, const double e[3]) {
   return e[0] + e[1] + e[2] != 0;
 }
 
-/// Whether a depth z/w lies between the near and the far plane. (Value: see pixel_x; hence no
-/// branches.)
+/// Whether a depth z/w lies between the near and the far plane. (Value: see pixel_x; it may be a
+/// vector, hence no branches.)
 template <typename Value>
 TT3D_HD auto in_depth(const Value& zw) {
   return (zw >= -1) & (zw <= 1);
 }
 
-/// Whether the triangle covers the pixel at (px,py), and where.
+/// Whether the triangle covers the pixel at (px,py); fills `hit` if so.
 TT3D_HD bool hit_triangle(const TriangleSetup& t, double px, double py, Hit& hit) {
   for (int k = 0; k < 3; ++k) hit.e[k] = t.edge[k].at(px, py);
   hit.zw = t.depth.at(px, py);
   return inside(t, hit.e) && in_depth(hit.zw);
-}
-
-/// Whether a hit hides what a pixel shows so far: the nearest wins, at equal depth the lower index,
-/// whatever the order in which the triangles come.
-TT3D_HD bool hides(double depth, int64_t face, double shown_depth, int64_t shown_face) {
-  return depth < shown_depth || (depth == shown_depth && face < shown_face);
 }
 
 /// A vertex in clip space without its depth. (Value: see pixel_x.)
@@ -261,9 +256,10 @@ TT3D_HD void load_flat_triangle(const T* clip, const int32_t* face, FlatVertex<d
 }
 
 /// What a pixel's gradient adds to a triangle's vertices is a row times the vertex's weight u, v or
-/// 1 - u - v: where sum_k u_k p_k is along (P,1), moving vertex k by d is moving the sum by u_k d.
-/// With p' = p.xy - P p.w and differences taken from vertex 2, u = cross(p1', p2') / cross(d0, d1),
-/// and the row is (gx, gy, -P.(gx,gy)), which does not change when P moves along its own ray.
+/// 1 - u - v: at the pixel, sum_k u_k p_k is parallel to (P,1), so moving vertex k by d moves the
+/// sum by u_k d. With p' = p.xy - P p.w and differences relative to vertex 2, u = cross(p1', p2') /
+/// cross(d0, d1), and the row is (gx, gy, -P.(gx,gy)). It does not change when P moves along its
+/// own ray.
 template <typename Value>
 TT3D_HD FlatVertex<Value> rasterize_backward(const FlatVertex<Value> corner[3], const Value& px,
                                              const Value& py, const Value& grad_u,
@@ -279,7 +275,7 @@ TT3D_HD FlatVertex<Value> rasterize_backward(const FlatVertex<Value> corner[3], 
   return {gx, gy, -(px * gx + py * gy)};
 }
 
-/// Body of rasterize's backward pass: pixel i adds to its triangle's vertices.
+/// Body of rasterize's backward pass: pixel i adds to the vertices of its triangle.
 template <typename T>
 struct RasterizeBackwardPixel {
   const T* clip;
@@ -288,16 +284,16 @@ struct RasterizeBackwardPixel {
   const T* grad_rast;
   T* grad_clip;
   Sizes s;
-  /// The triangle whose vertices pixel i moves, -1 where it moves none.
+  /// The triangle whose vertices receive a gradient from pixel i, -1 if none do.
   [[nodiscard]] TT3D_HD int64_t face_at(int64_t i) const {
     if (grad_rast[4 * i] == 0 && grad_rast[4 * i + 1] == 0) return -1;
     return static_cast<int64_t>(rast[4 * i + 3]) - 1;
   }
 };
 
-/// The numbers of a triangle that the derivatives of its (u,v) depend on.
+/// Terms of a triangle that the derivatives of (u,v) depend on.
 struct BarycentricSlopes {
-  ScreenFunction edge[2], sum;  ///< sum: of all three edges; u = edge[0] / sum
+  ScreenFunction edge[2], sum;  ///< sum of all three edges; u = edge[0] / sum
 };
 
 template <typename T>
@@ -308,7 +304,7 @@ TT3D_HD BarycentricSlopes barycentric_slopes(const T* clip, const int32_t* face)
           {e[0].a + e[1].a + e[2].a, e[0].b + e[1].b + e[2].b, e[0].c + e[1].c + e[2].c}};
 }
 
-/// From a pixel to the next one to the right and below, in normalised device coordinates.
+/// Offset from a pixel to the next one to the right and below, in normalised device coordinates.
 struct PixelSteps {
   double x, y;
   TT3D_HD explicit PixelSteps(const Sizes& s)

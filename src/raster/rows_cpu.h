@@ -6,9 +6,9 @@
 
 #include "pixels_cpu.h"
 
-/// Vectors of four numbers, for loops that the compiler does not turn into vectors by itself. They
-/// fill AVX2 with doubles, and hold a vertex in clip space or a pixel of rast. Passed to inlined
-/// functions alone, so that how they are passed does not matter.
+/// Vectors of four numbers, for loops that the compiler does not vectorise by itself. Four doubles
+/// fill an AVX2 register; four numbers are a vertex in clip space or a pixel of rast. Only inlined
+/// functions take them as arguments, so the calling convention for vectors does not matter.
 namespace tt3d::raster {
 
 constexpr int kLanes = 4;
@@ -20,7 +20,7 @@ struct RowOf {
 template <typename T>
 using Row = typename RowOf<T>::Type;
 
-/// Whole numbers of a number's size.
+/// Integer type of the same size as T.
 template <typename T>
 using WholeAs = std::conditional_t<sizeof(T) == sizeof(int32_t), int32_t, int64_t>;
 
@@ -65,7 +65,7 @@ TT3D_HD void transpose(Row<T> (&rows)[4]) {
   rows[3] = __builtin_shufflevector(ab_zw, cd_zw, 2, 3, 6, 7);
 }
 
-/// Rows row_at(0) to row_at(3) of a matrix of four columns, turned: a lane is a row.
+/// Loads rows row_at(0) to row_at(3) of a matrix with four columns, transposed: one lane per row.
 template <typename T, typename RowAt>
 TT3D_HD void load_rows(const T* from, const RowAt& row_at, Row<T> (&rows)[kLanes]) {
   for (int j = 0; j < kLanes; ++j) {
@@ -79,7 +79,7 @@ TT3D_HD Row<double> doubles(const Row<T>& v) {
   return __builtin_convertvector(v, Row<double>);
 }
 
-/// Four vertices in clip space, a lane each.
+/// Four vertices in clip space, one per lane.
 template <typename T>
 TT3D_HD FlatVertex<Row<double>> load_vertices(const T* clip, const int32_t (&vertex)[kLanes]) {
   Row<T> rows[kLanes];

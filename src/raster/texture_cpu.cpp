@@ -4,7 +4,7 @@
 namespace tt3d::raster {
 namespace {
 
-/// Rows [first,last) of the coarser of two levels.
+/// Rows [first,last) of the coarser of two adjacent levels.
 template <typename Body>
 TT3D_HD void texel_rows(const Body& body, int64_t first, int64_t last) {
   with_channels(body.channels, [&](auto channels) TT3D_INLINE {
@@ -15,7 +15,7 @@ TT3D_HD void texel_rows(const Body& body, int64_t first, int64_t last) {
   });
 }
 
-// target_clones needs plain functions.
+// Macros, because target_clones does not apply to templates.
 #define TT3D_TEXTURE_LOOPS(T)                                                               \
   TT3D_CPU_LOOP void write_loop(const TexturePixel<T>& body, int64_t first, int64_t last) { \
     with_channels(body.s.channels, [&](auto channels) TT3D_INLINE {                         \
@@ -47,7 +47,7 @@ void each_row_of_texels(const Body& body) {
 
 }  // namespace
 
-/// Scatters into texels run on one thread, in pixel order; uv gradients ride along.
+/// Runs on one thread, in pixel order, because pixels share texels; computes the uv gradients too.
 template <typename T>
 void scatter(const Cpu&, const TextureBackwardPixel<T>& body) {
   spread_loop(body, body.s.pixels());

@@ -16,7 +16,7 @@ struct Footprint {
 };
 
 TT3D_HD int64_t wrap(int64_t i, int64_t n) {
-  if (i >= 0 && i < n) return i;  // nearly always, and a division costs twenty additions
+  if (i >= 0 && i < n) return i;  // nearly always; a division costs as much as twenty additions
   const int64_t r = i % n;
   return r < 0 ? r + n : r;
 }
@@ -39,8 +39,8 @@ TT3D_HD Footprint footprint_of(double u, double v, int64_t height, int64_t width
 TT3D_HD float log2_of(float x) { return log2f(x); }
 TT3D_HD double log2_of(double x) { return log2(x); }
 
-/// Mipmap level of a footprint whose longer side covers 2^level texels, from the screen-space
-/// derivatives d = {du/dx, du/dy, dv/dx, dv/dy}; clamped to [0, levels - 1].
+/// Mipmap level of a footprint whose longer side covers 2^level texels. d = {du/dx, du/dy, dv/dx,
+/// dv/dy} are the screen-space derivatives; clamped to [0, levels - 1].
 template <typename T>
 TT3D_HD double mip_level(const double d[4], int64_t height, int64_t width, int64_t levels) {
   const auto w = static_cast<double>(width);
@@ -49,7 +49,7 @@ TT3D_HD double mip_level(const double d[4], int64_t height, int64_t width, int64
   const double along_y = d[1] * d[1] * w * w + d[3] * d[3] * h * h;
   const double longer = along_x > along_y ? along_x : along_y;
   if (!(longer > 1)) return 0;
-  // In the type of the texels: in float it costs half.
+  // Computed in the type of the texels: float costs half as much as double.
   const auto level = 0.5 * static_cast<double>(log2_of(static_cast<T>(longer)));
   const auto last = static_cast<double>(levels - 1);
   return level < last ? level : last;
@@ -63,7 +63,7 @@ struct MipLevel {
   int64_t height, width;
 };
 
-/// A chain small enough to travel as a kernel's argument: sides up to 2^23 texels.
+/// A mipmap chain, small enough to be a kernel's argument: sides up to 2^23 texels.
 template <typename T>
 struct MipChain {
   static constexpr int64_t kMaxLevels = 24;
@@ -71,7 +71,7 @@ struct MipChain {
   int64_t count;
 };
 
-/// Body: each texel of a level is the mean of four of the finer one.
+/// Body: each texel of a level is the mean of four texels of the finer level.
 template <typename T>
 struct HalveTexel {
   MipLevel<T> fine;
@@ -92,7 +92,7 @@ struct HalveTexel {
   }
 };
 
-/// Body: spreads the gradient of each texel of a level over the four that it averaged.
+/// Body: spreads the gradient of each texel of a level over the four finer texels that it averaged.
 template <typename T>
 struct FoldTexel {
   MipLevel<T> fine;
@@ -117,7 +117,7 @@ struct FoldTexel {
   }
 };
 
-/// The two levels of a look-up and the share of the coarser one.
+/// The two levels of a look-up and the weight of the coarser one.
 struct LevelBlend {
   int64_t fine, coarse;
   double share;
@@ -167,7 +167,7 @@ struct TexturePixel {
   }
 };
 
-/// Adds to the levels' gradients and overwrites grad_uv, each where it is wanted.
+/// Adds to the levels' gradients and overwrites grad_uv, each if it is wanted.
 template <typename T>
 struct TextureBackwardPixel {
   MipChain<T> levels;
@@ -212,7 +212,7 @@ struct TextureBackwardPixel {
     }
   }
 
-  /// The pixel's gradient along a texel's colour.
+  /// Dot product of the pixel's gradient and a texel's colour.
   TT3D_HD static double along_texel(const T* texel, const T* g, int64_t channels) {
     double sum = 0;
     for (int64_t c = 0; c < channels; ++c) {

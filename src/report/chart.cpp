@@ -11,12 +11,12 @@
 namespace tt3d::report {
 namespace {
 
-// Drawing area in SVG units; the picture scales with the page.
+// Drawing area in SVG units; the SVG scales with the page.
 constexpr double kWidth = 520, kHeight = 300;
 constexpr double kLeft = 78, kRight = 14, kTop = 14, kBottom = 46;
 constexpr size_t kMaxPoints = 400;
 
-/// Interval of an axis in drawn units: values, or their decimal logarithm.
+/// Range of an axis in plot units: values, or their decimal logarithms.
 struct Range {
   double low = std::numeric_limits<double>::infinity();
   double high = -std::numeric_limits<double>::infinity();
@@ -24,7 +24,7 @@ struct Range {
     low = std::min(low, value);
     high = std::max(high, value);
   }
-  /// Makes an empty or flat interval drawable.
+  /// Widens an empty or flat range.
   void widen() {
     if (high > low) return;
     const double margin = std::max(std::abs(low) * 0.05, 1e-3);
@@ -33,7 +33,7 @@ struct Range {
   }
 };
 
-/// Where values land in the drawing.
+/// Maps values to positions in the drawing.
 struct Frame {
   Range x, y;
   bool logarithmic = false;
@@ -48,7 +48,7 @@ struct Frame {
   }
 };
 
-/// The series without the points that cannot be drawn.
+/// The series without points that cannot be drawn.
 Series drawable(const Series& series, bool logarithmic) {
   Series kept{series.name, {}, {}};
   for (size_t i = 0; i < std::min(series.x.size(), series.y.size()); ++i) {
@@ -72,7 +72,7 @@ Frame frame_of(const std::vector<Series>& lines, const Chart& chart) {
   if (chart.y_range) frame.y = {chart.y_range->first, chart.y_range->second};
   frame.x.widen();
   frame.y.widen();
-  if (chart.logarithmic) {  // Lines keep off the frame.
+  if (chart.logarithmic) {  // A margin between the lines and the frame.
     const double margin = 0.04 * (frame.y.high - frame.y.low);
     frame.y = {frame.y.low - margin, frame.y.high + margin};
   }
@@ -82,8 +82,8 @@ Frame frame_of(const std::vector<Series>& lines, const Chart& chart) {
   return frame;
 }
 
-/// Decimal logarithms of the powers of ten in a range of logarithms; of 1, 2, 5 times these where
-/// that would be few.
+/// Decimal logarithms of the powers of ten in a range of logarithms. If these are few, also those
+/// of 2 and 5 times a power of ten.
 std::vector<double> decade_ticks(const Range& range) {
   const double span = range.high - range.low;
   const std::vector<double> factors =
@@ -99,7 +99,7 @@ std::vector<double> decade_ticks(const Range& range) {
   return ticks;
 }
 
-/// Ticks of the y axis in drawn units.
+/// Ticks of the y axis in plot units.
 std::vector<double> y_ticks(const Frame& frame) {
   std::vector<double> ticks;
   if (frame.logarithmic) ticks = decade_ticks(frame.y);
@@ -165,7 +165,7 @@ std::string legend(const std::vector<Series>& lines) {
   return html + "</ul>";
 }
 
-/// What a reader who cannot see the chart is told.
+/// The text for screen readers.
 std::string description(const Chart& chart, const std::vector<Series>& lines) {
   std::string words = chart.title + " against " + chart.x_label + ".";
   for (const Series& line : lines) {

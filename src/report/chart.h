@@ -8,7 +8,7 @@
 /// Line charts as inline SVG.
 namespace tt3d::report {
 
-/// A line of a chart; values that are not finite are skipped.
+/// A line of a chart; points that are not finite are skipped.
 struct Series {
   std::string name;
   std::vector<double> x, y;  ///< same length
@@ -17,9 +17,9 @@ struct Series {
 struct Chart {
   std::string title, x_label, y_label;
   std::vector<Series> series;
-  std::optional<std::pair<double, double>> y_range;  ///< default: that of the values
+  std::optional<std::pair<double, double>> y_range;  ///< default: the range of the values
   bool logarithmic = false;                          ///< y axis in decades; values <= 0 are skipped
-  bool shares = false;                               ///< y in [0,1] is written as per cent
+  bool shares = false;                               ///< tick labels of y in [0,1] are per cent
 };
 
 /// The chart as <figure> with axes, ticks, labels and a legend; "" if no series has two points.
@@ -28,7 +28,7 @@ struct Chart {
 /// Round numbers that divide [low, high] into about `count` steps (1, 2 or 5 times a power of 10).
 [[nodiscard]] std::vector<double> round_ticks(double low, double high, int count);
 
-/// At most `count` points: means over equal shares of the series.
+/// At most `count` points: means over equally long parts of the series.
 [[nodiscard]] Series thin_out(const Series& series, size_t count);
 
 }  // namespace tt3d::report

@@ -7,44 +7,38 @@
 #include "figures.h"
 #include "html.h"
 #include "record_tables.h"
-#include "run_facts.h"
+#include "tt3d/csv.h"
 #include "tt3d/report.h"
 
-namespace tt3d {
+namespace tt3d::report {
 namespace {
 
-using namespace report;
+using Json = nlohmann::ordered_json;  // keys stay in the order of the columns
 
 constexpr const char* kNone = "\u2013";
 
-/// A cell as people read it.
+/// A cell of the page and of LaTeX.
 struct Cell {
   std::string text;
-  std::string interval = "";  ///< on the page alone
-  std::string role = "";      ///< a badge on the page, an asterisk in LaTeX if the attack knew it
+  std::string interval = "";  ///< page only
+  std::string role = "";      ///< badge on the page; an asterisk in LaTeX for the surrogates and
+                              ///< the target
 };
 
 struct Heading {
   std::string text;
-  bool number = false;  ///< to the right in LaTeX
+  bool number = false;  ///< right-aligned in LaTeX
 };
 
-/// Rows of one kind: what CSV and JSON hold under `keys`, and what page and LaTeX show.
+/// A table: the values for CSV and JSON with their `keys`, and the cells for page and LaTeX.
 struct Table {
-  std::string file;  ///< without its ending
-  std::string key;   ///< in JSON
+  std::string file;  ///< file name without extension
+  std::string key;   ///< key in JSON
   std::string title;
   std::vector<std::string> keys;
   std::vector<Heading> headings;
   std::vector<std::vector<Json>> values = {};
   std::vector<std::vector<Cell>> shown = {};
-};
-
-/// A run with its records parsed.
-struct ParsedRun {
-  std::string name;
-  std::vector<std::string> surrogates;
-  Json own;  ///< an evaluation that names target and true class
 };
 
 Json value(const std::optional<double>& x) { return x ? Json(*x) : Json(); }
@@ -53,20 +47,12 @@ std::string words(const std::optional<double>& x, double factor, int digits) {
   return x ? fmt::format("{:.{}f}", factor * *x, digits) : kNone;
 }
 
-Cell share_cell(const std::optional<double>& share, const std::optional<double>& low,
-                const std::optional<double>& high) {
-  Cell cell{words(share, 100, 1)};
-  if (low && high) cell.interval = words(low, 100, 1) + kNone + words(high, 100, 1);
-  return cell;
+Cell share_cell(double share, const record::Interval& interval) {
+  return {words(share, 100, 1), words(interval.low, 100, 1) + kNone + words(interval.high, 100, 1)};
 }
 
-bool is_lit(const Json& record) {
-  const Json lit = member(member(record, "renderer"), "lit");
-  return lit.is_boolean() && lit.get<bool>();
-}
-
-std::string with_light(const std::string& renderer, bool lit) {
-  return renderer + (lit ? ", lit" : "");
+std::string with_light(const record::RendererRecord& renderer) {
+  return renderer.name + (renderer.lit ? ", lit" : "");
 }
 
 std::string file_name(const std::string& path) {
@@ -96,22 +82,22 @@ Table victims_table() {
            {"LPIPS", true}}};
 }
 
-void add_evaluation(const ParsedRun& run, const Json& record, Table& table) {
-  const RunFigures f = run_figures(record, {}, {}, run.surrogates);
-  const bool lit = is_lit(record);
-  for (const VictimFigures& v : f.victims) {
-    table.values.push_back({run.name, f.renderer, lit, f.background, v.name, v.surrogate,
-                            value(v.asr), value(v.asr_low), value(v.asr_high),
-                            value(v.clean_accuracy), value(f.psnr), value(f.ssim), value(f.lpips)});
+void add_evaluation(const ComparedRun& run, const record::EvaluationRecord& e, Table& table) {
+  const record::NaturalnessRecord& n = e.naturalness;
+  for (const ShownVictim& shown : shown_victims(e, run.surrogates)) {
+    const record::VictimRecord& v = shown.figures;
+    table.values.push_back({run.name, e.renderer.name, e.renderer.lit, e.background, v.name,
+                            shown.surrogate, v.asr, v.asr_ci95.low, v.asr_ci95.high,
+                            value(v.clean_accuracy), value(n.psnr), value(n.ssim), value(n.lpips)});
     table.shown.push_back({{run.name},
-                           {with_light(f.renderer, lit)},
-                           {f.background},
-                           {v.name, "", v.surrogate ? "surrogate" : "unseen"},
-                           share_cell(v.asr, v.asr_low, v.asr_high),
+                           {with_light(e.renderer)},
+                           {e.background},
+                           {v.name, "", shown.surrogate ? "surrogate" : "unseen"},
+                           share_cell(v.asr, v.asr_ci95),
                            {words(v.clean_accuracy, 100, 1)},
-                           {words(f.psnr, 1, 2)},
-                           {words(f.ssim, 1, 3)},
-                           {words(f.lpips, 1, 3)}});
+                           {words(n.psnr, 1, 2)},
+                           {words(n.ssim, 1, 3)},
+                           {words(n.lpips, 1, 3)}});
   }
 }
 
@@ -129,26 +115,21 @@ Table tasks_table() {
            {"views", true}}};
 }
 
-void add_judge(const ParsedRun& run, const Json& record, Table& table) {
-  const std::string task = text(record, "task"), model = file_name(text(record, "model"));
-  const std::string renderer = text(member(record, "renderer"), "name");
-  const bool lit = is_lit(record);
-  const auto views = number(member(record, "views"), "count");
-  const Json shares = member(record, "shares");
-  if (!shares.is_object()) return;
-  for (const auto& item : shares.items()) {
-    const std::string& phrase = item.key();
-    const auto share = number(shares, phrase);
-    const std::string role = phrase_role(phrase, run.own);
-    table.values.push_back(
-        {run.name, task, model, renderer, lit, phrase, role, value(share), value(views)});
+void add_judge(const ComparedRun& run, const record::JudgeRecord& judge, Table& table) {
+  OwnEvaluation own;
+  if (!run.records.evaluations.empty()) own = run.records.evaluations.front();
+  const std::string model = file_name(judge.model);
+  for (const auto& [phrase, share] : judge.shares) {
+    const std::string role = phrase_role(phrase, own);
+    table.values.push_back({run.name, judge.task, model, judge.renderer.name, judge.renderer.lit,
+                            phrase, role, share, judge.views.count});
     table.shown.push_back({{run.name},
-                           {task_words(task)},
+                           {task_words(judge.task)},
                            {model},
-                           {with_light(renderer, lit)},
+                           {with_light(judge.renderer)},
                            {phrase, "", role},
                            {words(share, 100, 1)},
-                           {words(views, 1, 0)}});
+                           {std::to_string(judge.views.count)}});
   }
 }
 
@@ -161,61 +142,46 @@ Table videos_table() {
           {{"run"}, {"video"}, {"model"}, {"background"}, {"ASR, %", true}, {"frames", true}}};
 }
 
-/// `of` is "all" frames or those of a background, whose label may be empty.
-void add_share(const ParsedRun& run, const std::string& video, const std::string& victim,
-               const std::string& of, const std::string& label, const Json& share, Table& table) {
-  const Json interval = member(share, "asr_ci95");
-  std::optional<double> low, high;
-  if (interval.is_array() && interval.size() == 2 && interval[0].is_number() &&
-      interval[1].is_number()) {
-    low = interval[0].get<double>();
-    high = interval[1].get<double>();
-  }
-  const auto asr = number(share, "asr"), frames = number(share, "frames");
+/// Adds the row for `of`: "all" frames, or those of a background, whose label can be empty.
+void add_share(const ComparedRun& run, const std::string& video, const std::string& victim,
+               const std::string& of, const std::string& label, const record::FrameShare& share,
+               Table& table) {
   const bool surrogate = contains(run.surrogates, victim);
   const std::string named = label.empty() ? "no label" : label;
-  table.values.push_back({run.name, video, victim, surrogate, of, label, value(asr), value(low),
-                          value(high), value(frames)});
+  table.values.push_back({run.name, video, victim, surrogate, of, label, share.asr,
+                          share.asr_ci95.low, share.asr_ci95.high, share.frames});
   table.shown.push_back({{run.name},
                          {video},
                          {victim, "", surrogate ? "surrogate" : "unseen"},
                          {of == "all" ? "all frames" : named},
-                         share_cell(asr, low, high),
-                         {words(frames, 1, 0)}});
+                         share_cell(share.asr, share.asr_ci95),
+                         {std::to_string(share.frames)}});
 }
 
-void add_video(const ParsedRun& run, const Json& record, Table& table) {
-  const std::string video = file_name(text(record, "video"));
-  for (const Json& victim : member(record, "victims")) {
-    const std::string name = text(victim, "name");
-    add_share(run, video, name, "all", "", victim, table);
-    const Json backgrounds = member(victim, "backgrounds");
-    if (!backgrounds.is_object()) continue;
-    for (const auto& item : backgrounds.items()) {
-      add_share(run, video, name, "background", item.key(), item.value(), table);
+void add_video(const ComparedRun& run, const record::VideoRecord& record, Table& table) {
+  const std::string video = file_name(record.video);
+  for (const record::VideoVictim& victim : record.victims) {
+    add_share(run, video, victim.name, "all", "", victim.all, table);
+    for (const auto& [label, share] : victim.backgrounds) {
+      add_share(run, video, victim.name, "background", label, share, table);
     }
   }
 }
 
 // ---- Forms --------------------------------------------------------------------------------
 
-std::string csv_cell(const Json& value) {
+std::string csv_text(const Json& value) {
   if (value.is_null()) return "";
   if (value.is_number()) return fmt::format("{:.6f}", value.get<double>());
-  if (!value.is_string()) return value.dump();
-  const std::string text = value.get<std::string>();
-  if (text.find_first_of(",\"\r\n") == text.npos) return text;
-  std::string out = "\"";
-  for (const char c : text) out += c == '"' ? std::string("\"\"") : std::string(1, c);
-  return out + "\"";
+  return value.is_string() ? value.get<std::string>() : value.dump();
 }
 
 std::string to_csv(const Table& table) {
-  std::string text = fmt::format("{}\n", fmt::join(table.keys, ","));
+  std::string text = csv_line(table.keys);
   for (const auto& row : table.values) {
     std::vector<std::string> cells;
-    for (const Json& value : row) cells.push_back(csv_cell(value));
-    text += fmt::format("{}\n", fmt::join(cells, ","));
+    for (const Json& value : row) cells.push_back(csv_text(value));
+    text += csv_line(cells);
   }
   return text;
 }
@@ -245,7 +211,7 @@ std::string latex_text(const std::string& text) {
   return out;
 }
 
-/// What the attack worked with: a surrogate, or the target's name.
+/// True for a role that the attack used: a surrogate, or the name of the target.
 bool known_to_attack(const std::string& role) { return role == "surrogate" || role == "target"; }
 
 std::string latex_cell(const Cell& cell) {
@@ -295,35 +261,16 @@ std::string html_table(const Table& table) {
   return section(table.key, table.title, report::table(table.title, head, body));
 }
 
-ParsedRun parse_run(const ComparedRun& run, const std::vector<Json>& evaluations) {
-  ParsedRun parsed{
-      run.name, surrogate_names(parse_json(run.run_json, run.name + "/run.json"), ""), {}};
-  for (const Json& record : evaluations) {
-    if (parsed.own.is_null() && member(record, "target").is_object()) parsed.own = record;
-  }
-  return parsed;
-}
-
-std::vector<Json> parse_all(const std::vector<std::string>& texts, const std::string& name) {
-  std::vector<Json> records;
-  for (const std::string& text : texts) records.push_back(parse_json(text, name));
-  return records;
-}
-
 }  // namespace
 
 Comparison compare_runs(const std::vector<ComparedRun>& runs) {
   Table victims = victims_table(), tasks = tasks_table(), videos = videos_table();
   for (const ComparedRun& run : runs) {
-    const auto evaluations = parse_all(run.records, "an evaluation of " + run.name);
-    const ParsedRun parsed = parse_run(run, evaluations);
-    for (const Json& record : evaluations) add_evaluation(parsed, record, victims);
-    for (const Json& record : parse_all(run.judge_records, "a judge's record of " + run.name)) {
-      add_judge(parsed, record, tasks);
+    for (const auto& evaluation : run.records.evaluations) {
+      add_evaluation(run, evaluation, victims);
     }
-    for (const Json& record : parse_all(run.video_records, "a video's record of " + run.name)) {
-      add_video(parsed, record, videos);
-    }
+    for (const auto& judge : run.records.judges) add_judge(run, judge, tasks);
+    for (const auto& [path, video] : run.records.videos) add_video(run, video, videos);
   }
   Comparison result;
   Json all = Json::object();
@@ -344,4 +291,4 @@ Comparison compare_runs(const std::vector<ComparedRun>& runs) {
   return result;
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::report

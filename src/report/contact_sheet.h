@@ -7,12 +7,14 @@
 
 namespace tt3d::report {
 
-/// Views as cards: clean and adversarial picture, and what each victim says to the latter.
-[[nodiscard]] std::string contact_sheet(const std::vector<ReportView>& views,
+/// Views as cards: clean and adversarial picture, and the answer of each victim for the adversarial
+/// one.
+[[nodiscard]] std::string contact_sheet(const std::vector<ShownView>& views,
                                         const std::string& target);
 
-/// Frames of a video in a row that scrolls, with what each victim says; `video` is HTML.
-[[nodiscard]] std::string frame_strip(const std::vector<ReportFrame>& frames,
+/// Frames of a video in a scrolling row, with the answer of each victim; `video` is its name as
+/// HTML.
+[[nodiscard]] std::string frame_strip(const std::vector<ShownFrame>& frames,
                                       const std::string& video, const std::string& target);
 
 }  // namespace tt3d::report

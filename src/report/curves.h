@@ -2,10 +2,11 @@
 
 #include <string>
 
+#include "tt3d/record.h"
+
 namespace tt3d::report {
 
-/// The attack's curves as charts: loss, success, regularisers. `csv` has a header line and numbers;
-/// columns that are absent leave their line out. "" for an empty text.
-[[nodiscard]] std::string curve_charts(const std::string& csv);
+/// The attack's curves as charts: loss, success, regularisers. "" for an empty log.
+[[nodiscard]] std::string curve_charts(const record::Curves& curves);
 
 }  // namespace tt3d::report

@@ -4,39 +4,40 @@
 #include <string>
 #include <vector>
 
-#include "html.h"
+#include "tt3d/record.h"
 
 namespace tt3d::report {
 
-/// A victim of the evaluation record.
-struct VictimFigures {
-  std::string name;
-  bool surrogate = false;  ///< the attack saw it
-  std::optional<double> asr, asr_low, asr_high, clean_accuracy, asr_on_correct;
-  std::optional<double> asr_on_correct_n, target_probability;
+/// A victim of an evaluation; a surrogate if the attack used it.
+struct ShownVictim {
+  record::VictimRecord figures;
+  bool surrogate = false;
 };
 
-/// The figures of a run, from its JSON files; what is absent stays empty.
+/// The input of the text and tables of the page.
 struct RunFigures {
-  std::string target, true_class, renderer, background, distribution;
-  std::optional<double> views, size;
-  std::vector<VictimFigures> victims;
-  std::optional<double> psnr, ssim, lpips, field_psnr, mesh_psnr, faces;
-  std::optional<bool> closed;
-  /// Mean ASR of the victims the attack saw, or of the others; nothing where there are none.
+  std::optional<record::EvaluationRecord> evaluation;
+  std::vector<ShownVictim> victims;  ///< surrogates first
+  std::optional<record::FieldMetrics> field;
+  std::optional<record::MeshMetrics> mesh;
+  /// Mean ASR of the surrogates, or of the other victims; nothing if there are none.
   [[nodiscard]] std::optional<double> mean_asr(bool surrogate) const;
 };
 
-[[nodiscard]] RunFigures run_figures(const Json& record, const Json& field, const Json& mesh,
-                                     const std::vector<std::string>& surrogates);
+/// The victims of an evaluation, surrogates first.
+[[nodiscard]] std::vector<ShownVictim> shown_victims(const record::EvaluationRecord& evaluation,
+                                                     const std::vector<std::string>& surrogates);
 
-/// One paragraph that tells the result in words.
+/// The first synonym of a class: "hen" of "hen, biddy".
+[[nodiscard]] std::string first_name(const record::ClassId& id);
+
+/// One paragraph with the result in words.
 [[nodiscard]] std::string summary(const RunFigures& figures);
-/// The few figures that matter most, large.
+/// The most important figures, as tiles.
 [[nodiscard]] std::string headline(const RunFigures& figures);
-/// A row a victim.
+/// The result table, one row per victim.
 [[nodiscard]] std::string result_table(const RunFigures& figures);
-/// Naturalness, field and mesh quality.
+/// The figures of naturalness, field and mesh.
 [[nodiscard]] std::string quality_list(const RunFigures& figures);
 
 }  // namespace tt3d::report

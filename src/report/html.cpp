@@ -8,8 +8,8 @@
 #include <stdexcept>
 
 #include "page_parts.h"
-#include "tt3d/capture.h"
 #include "tt3d/core.h"
+#include "tt3d/image.h"
 #include "tt3d/version.h"
 
 namespace tt3d::report {
@@ -74,6 +74,10 @@ std::string cell(const std::string& label, const std::string& html) {
   return "<td data-label=\"" + label + "\">" + html + "</td>";
 }
 
+std::string fact(const std::string& name, const std::string& value) {
+  return "<div><dt>" + name + "</dt><dd>" + value + "</dd></div>\n";
+}
+
 std::string table(const std::string& name, const std::string& head, const std::string& body) {
   return "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"" + name +
          "\"><table class=\"results\"><thead><tr>" + head + "</tr></thead>\n<tbody>\n" + body +
@@ -98,11 +102,12 @@ std::string jpeg_address(const at::Tensor& image, int64_t max_size, int quality)
   if (longer > max_size) {
     const auto side = [&](int64_t n) { return std::max<int64_t>(1, n * max_size / longer); };
     const at::Tensor planes = small.to(at::kFloat).div(255).permute({2, 0, 1}).contiguous();
-    small = to_uint8(at::adaptive_avg_pool2d(planes, {side(image.size(0)), side(image.size(1))})
-                         .permute({1, 2, 0})
-                         .contiguous());
+    small =
+        image::to_uint8(at::adaptive_avg_pool2d(planes, {side(image.size(0)), side(image.size(1))})
+                            .permute({1, 2, 0})
+                            .contiguous());
   }
-  return "data:image/jpeg;base64," + base64(encode_jpeg(small.contiguous(), quality));
+  return "data:image/jpeg;base64," + base64(image::encode_jpeg(small.contiguous(), quality));
 }
 
 std::string percent(double share) { return fmt::format("{:.1f}\u00a0%", 100 * share); }
@@ -121,30 +126,6 @@ std::string duration(double seconds) {
   const auto whole = static_cast<int64_t>(std::llround(seconds));
   if (whole < 3600) return fmt::format("{}\u00a0min {:02}\u00a0s", whole / 60, whole % 60);
   return fmt::format("{}\u00a0h {:02}\u00a0min", whole / 3600, whole % 3600 / 60);
-}
-
-Json parse_json(const std::string& text, const std::string& name) {
-  if (text.empty()) return nullptr;
-  try {
-    return Json::parse(text);
-  } catch (const Json::parse_error& error) {
-    throw InputError("report: " + name + " is not JSON: " + error.what());
-  }
-}
-
-Json member(const Json& json, const std::string& key) {
-  return json.is_object() && json.contains(key) ? json.at(key) : Json();
-}
-
-std::optional<double> number(const Json& json, const std::string& key) {
-  const Json value = member(json, key);
-  if (!value.is_number()) return std::nullopt;
-  return value.get<double>();
-}
-
-std::string text(const Json& json, const std::string& key) {
-  const Json value = member(json, key);
-  return value.is_string() ? value.get<std::string>() : "";
 }
 
 }  // namespace tt3d::report

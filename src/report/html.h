@@ -3,20 +3,16 @@
 #include <ATen/core/Tensor.h>
 
 #include <map>
-#include <nlohmann/json.hpp>
-#include <optional>
 #include <string>
 #include <string_view>
 
 /// Small helpers to write HTML.
 namespace tt3d::report {
 
-using Json = nlohmann::ordered_json;
-
-/// Text as HTML: & < > " ' become entities; works in content and in quoted attributes.
+/// Escapes text for HTML: & < > " ' become entities. For content and quoted attributes.
 [[nodiscard]] std::string escape(std::string_view text);
 
-/// Replaces each {{key}} of a template by its value. Values are HTML and are not looked into.
+/// Replaces each {{key}} of a template by its value. Values are HTML and are not expanded again.
 /// Throws std::logic_error for a key without a value.
 [[nodiscard]] std::string fill(std::string_view text,
                                const std::map<std::string, std::string>& values);
@@ -25,14 +21,18 @@ using Json = nlohmann::ordered_json;
 [[nodiscard]] std::string section(std::string_view id, std::string_view title,
                                   const std::string& body);
 
-/// The page's template filled; parts without a value are left out.
+/// Fills the template of the page; sections without a value are left out.
 [[nodiscard]] std::string page(std::map<std::string, std::string> parts);
 
-/// Cells of a table, HTML given; `label` is the column's name where a narrow page stacks the cells.
+/// Cells of a table; the content is HTML. `label`: name of the column, shown when a narrow page
+/// stacks the cells.
 [[nodiscard]] std::string head_cell(const std::string& html);
 [[nodiscard]] std::string row_head(const std::string& html);
 [[nodiscard]] std::string cell(const std::string& label, const std::string& html);
-/// A table in a region of its own that scrolls where it is too wide and is reached by keyboard.
+/// One entry of a <dl>: name and value, both HTML.
+[[nodiscard]] std::string fact(const std::string& name, const std::string& value);
+/// A table in its own region. The region scrolls if the table is too wide, and the keyboard can
+/// reach it.
 [[nodiscard]] std::string table(const std::string& name, const std::string& head,
                                 const std::string& body);
 
@@ -46,13 +46,5 @@ using Json = nlohmann::ordered_json;
 [[nodiscard]] std::string thousands(int64_t number);
 /// Seconds as "1.2 s", "4 min 05 s" or "2 h 05 min".
 [[nodiscard]] std::string duration(double seconds);
-
-/// Parses JSON; an empty text is null. Throws InputError that starts with `name`.
-[[nodiscard]] Json parse_json(const std::string& text, const std::string& name);
-/// Member of an object, or null.
-[[nodiscard]] Json member(const Json& json, const std::string& key);
-/// Number or text at a key; nothing or "" when absent or of another type.
-[[nodiscard]] std::optional<double> number(const Json& json, const std::string& key);
-[[nodiscard]] std::string text(const Json& json, const std::string& key);
 
 }  // namespace tt3d::report

@@ -8,22 +8,16 @@
 #include <set>
 
 #include "contact_sheet.h"
+#include "figures.h"
+#include "html.h"
 
 namespace tt3d::report {
 namespace {
 
 constexpr const char* kNone = "\u2013";
 
-std::string renderer_words(const Json& record) {
-  const Json renderer = member(record, "renderer"), lit = member(renderer, "lit");
-  return escape(text(renderer, "name")) +
-         (lit.is_boolean() && lit.get<bool>() ? ", lit" : ", unlit");
-}
-
-/// How many views a record is of: fewer than the run's own is common, as renderers are slow.
-std::string view_words(const Json& record) {
-  const auto views = number(member(record, "views"), "count");
-  return views ? fmt::format(", {:.0f} views", *views) : "";
+std::string renderer_words(const record::RendererRecord& renderer) {
+  return escape(renderer.name) + (renderer.lit ? ", lit" : ", unlit");
 }
 
 std::string lower(std::string text) {
@@ -31,11 +25,11 @@ std::string lower(std::string text) {
   return text;
 }
 
-/// The synonyms of a class: "hen, biddy" are two.
-std::set<std::string> names_of(const Json& category) {
+/// The synonyms of a class: "hen, biddy" has two.
+std::set<std::string> names_in(const record::ClassId& id) {
   std::set<std::string> names;
   std::string name;
-  for (const char c : text(category, "name") + ",") {
+  for (const char c : id.name + ",") {
     if (c == ',') {
       if (!name.empty()) names.insert(lower(name));
       name.clear();
@@ -46,80 +40,74 @@ std::set<std::string> names_of(const Json& category) {
   return names;
 }
 
-/// A phrase with "target" or "true class" as a mark behind it.
-std::string marked_phrase(const std::string& phrase, const Json& own) {
+/// A phrase, followed by the badge "target" or "true class".
+std::string marked_phrase(const std::string& phrase, const OwnEvaluation& own) {
   const std::string role = phrase_role(phrase, own);
   if (role.empty()) return escape(phrase);
   return fmt::format("{} <span class=\"role {}\">{}</span>", escape(phrase),
                      role == "target" ? "seen" : "unseen", role);
 }
 
-/// A share with the number of frames it is of.
-std::string share_of_frames(const Json& share) {
-  const auto asr = number(share, "asr"), frames = number(share, "frames");
-  if (!asr || !frames) return kNone;
-  return fmt::format("<b>{}</b> <span class=\"interval\">of {:.0f}</span>", percent(*asr), *frames);
+/// A share, followed by its number of frames.
+std::string share_of_frames(const record::FrameShare& share) {
+  return fmt::format("<b>{}</b> <span class=\"interval\">of {}</span>", percent(share.asr),
+                     share.frames);
 }
 
 /// The background labels of a video, in the order of its first victim.
-std::vector<std::string> labels_of(const Json& video) {
+std::vector<std::string> labels_of(const record::VideoRecord& video) {
   std::vector<std::string> labels;
-  for (const Json& victim : member(video, "victims")) {
-    const Json groups = member(victim, "backgrounds");
-    for (const auto& [label, share] : groups.items()) {
+  for (const record::VideoVictim& victim : video.victims) {
+    for (const auto& [label, share] : victim.backgrounds) {
       if (std::find(labels.begin(), labels.end(), label) == labels.end()) labels.push_back(label);
     }
   }
   return labels;
 }
 
-std::string video_name(const Json& video) {
-  return escape(std::filesystem::path(text(video, "video")).filename().string());
-}
-
-std::string video_table(const Json& video) {
+std::string video_table(const record::VideoRecord& video, const std::string& name) {
   const std::vector<std::string> labels = labels_of(video);
   const auto shown = [](const std::string& label) {
     return label.empty() ? std::string("no label") : escape(label);
   };
   std::string head = head_cell("model") + head_cell("all frames"), body;
   for (const std::string& label : labels) head += head_cell(shown(label));
-  for (const Json& victim : member(video, "victims")) {
-    body += "<tr>" + row_head(escape(text(victim, "name"))) +
-            cell("all frames", share_of_frames(victim));
-    const Json groups = member(victim, "backgrounds");
+  for (const record::VideoVictim& victim : video.victims) {
+    body +=
+        "<tr>" + row_head(escape(victim.name)) + cell("all frames", share_of_frames(victim.all));
     for (const std::string& label : labels) {
-      body += cell(shown(label), share_of_frames(member(groups, label)));
+      const auto share = victim.backgrounds.find(label);
+      body += cell(shown(label),
+                   share == victim.backgrounds.end() ? kNone : share_of_frames(share->second));
     }
     body += "</tr>\n";
   }
-  return table("Video " + video_name(video), head, body);
+  return table("Video " + name, head, body);
 }
 
-std::string fact(const std::string& name, const std::string& value) {
-  return "<div><dt>" + name + "</dt><dd>" + value + "</dd></div>\n";
+std::string geometry_facts(const record::GeometryRecord& g) {
+  return fact("Chamfer distance", fmt::format("{:.3g}", g.chamfer)) +
+         fact("Hausdorff distance", fmt::format("{:.3g}", g.hausdorff)) +
+         fact("Mean turn of normals", fmt::format("{:.1f}\u00b0", g.normal_deviation_deg)) +
+         fact("Self-intersecting faces", std::to_string(g.self_intersecting_faces)) +
+         fact("Self-intersecting, clean", std::to_string(g.self_intersecting_faces_clean));
 }
 
-std::string geometry_facts(const Json& geometry) {
-  std::string facts;
-  const auto add = [&](const char* name, const char* key, const char* format) {
-    if (const auto value = number(geometry, key)) {
-      facts += fact(name, fmt::format(fmt::runtime(format), *value));
-    }
-  };
-  add("Chamfer distance", "chamfer", "{:.3g}");
-  add("Hausdorff distance", "hausdorff", "{:.3g}");
-  add("Mean turn of normals", "normal_deviation_deg", "{:.1f}\u00b0");
-  add("Self-intersecting faces", "self_intersecting_faces", "{:.0f}");
-  add("Self-intersecting, clean", "self_intersecting_faces_clean", "{:.0f}");
-  return facts;
+/// The rate of the model with that name, or a dash.
+std::string rate_of(const record::EvaluationRecord& evaluation, const std::string& model) {
+  for (const record::VictimRecord& victim : evaluation.victims) {
+    if (victim.name == model) return percent(victim.asr);
+  }
+  return kNone;
 }
 
 }  // namespace
 
-std::string phrase_role(const std::string& phrase, const Json& own) {
-  if (names_of(member(own, "target")).contains(lower(phrase))) return "target";
-  return names_of(member(own, "true_class")).contains(lower(phrase)) ? "true class" : "";
+std::string phrase_role(const std::string& phrase, const OwnEvaluation& own) {
+  if (!own) return "";
+  if (names_in(own->target).contains(lower(phrase))) return "target";
+  const bool named = own->true_class && names_in(*own->true_class).contains(lower(phrase));
+  return named ? "true class" : "";
 }
 
 std::string task_words(const std::string& task) {
@@ -128,75 +116,66 @@ std::string task_words(const std::string& task) {
   return task == "zeroshot" ? "zero-shot classification" : task;
 }
 
-std::string renderer_table(const Json& own, const std::vector<std::string>& others) {
-  if (others.empty()) return "";
-  std::vector<Json> records = {own};
-  for (const std::string& text : others) {
-    records.push_back(parse_json(text, "another renderer's record"));
-  }
+std::string renderer_table(const OwnEvaluation& own,
+                           const std::vector<record::EvaluationRecord>& others) {
+  if (others.empty() || !own) return "";
+  std::vector<const record::EvaluationRecord*> all = {&*own};
+  for (const record::EvaluationRecord& other : others) all.push_back(&other);
   std::string head = head_cell("renderer and background"), body;
-  for (const Json& victim : member(own, "victims")) head += head_cell(escape(text(victim, "name")));
-  for (const Json& record : records) {
-    body += "<tr>" + row_head(renderer_words(record) + ", " + escape(text(record, "background")) +
-                              view_words(record));
-    for (const Json& victim : member(own, "victims")) {
-      std::optional<double> rate;
-      for (const Json& other : member(record, "victims")) {
-        if (text(other, "name") == text(victim, "name")) rate = number(other, "asr");
-      }
-      body += cell(escape(text(victim, "name")), rate ? percent(*rate) : kNone);
+  for (const record::VictimRecord& victim : own->victims) head += head_cell(escape(victim.name));
+  for (const record::EvaluationRecord* e : all) {
+    // Records of slow renderers often have fewer views.
+    body += "<tr>" + row_head(fmt::format("{}, {}, {} views", renderer_words(e->renderer),
+                                          escape(e->background), e->views.count));
+    for (const record::VictimRecord& victim : own->victims) {
+      body += cell(escape(victim.name), rate_of(*e, victim.name));
     }
     body += "</tr>\n";
   }
   return table("By renderer", head, body);
 }
 
-std::string task_table(const std::vector<std::string>& judges, const Json& own) {
-  std::string body;
-  for (const std::string& judge : judges) {
-    const Json record = parse_json(judge, "a judge's record");
-    const Json shares = member(record, "shares");
-    const auto views = number(member(record, "views"), "count");
-    for (const auto& [phrase, share] : shares.items()) {
-      body +=
-          "<tr>" + row_head(escape(task_words(text(record, "task")))) +
-          cell("phrase", marked_phrase(phrase, own)) +
-          cell("found in",
-               share.is_number() ? "<b>" + percent(share.get<double>()) + "</b>" : kNone) +
-          cell("views", views ? fmt::format("{:.0f}", *views) : kNone) +
-          cell("renderer", renderer_words(record)) +
-          cell("model", escape(std::filesystem::path(text(record, "model")).filename().string())) +
-          "</tr>\n";
+std::string task_table(const std::vector<record::JudgeRecord>& judges, const OwnEvaluation& own) {
+  std::string head, body;
+  for (const record::JudgeRecord& judge : judges) {
+    for (const auto& [phrase, share] : judge.shares) {
+      body += "<tr>" + row_head(escape(task_words(judge.task))) +
+              cell("phrase", marked_phrase(phrase, own)) +
+              cell("found in", "<b>" + percent(share) + "</b>") +
+              cell("views", std::to_string(judge.views.count)) +
+              cell("renderer", renderer_words(judge.renderer)) +
+              cell("model", escape(std::filesystem::path(judge.model).filename().string())) +
+              "</tr>\n";
     }
   }
   if (body.empty()) return "";
-  std::string head;
   for (const char* name : {"task", "phrase", "found in", "views", "renderer", "model"}) {
     head += head_cell(name);
   }
   return table("By task", head, body) +
-         "<p class=\"note\">Models that do other work than classify, asked about views of the "
-         "adversarial object: the share in which each phrase was found.</p>\n";
+         "<p class=\"note\">Models of other tasks, run on views of the adversarial object: the "
+         "share of views in which each phrase was found.</p>\n";
 }
 
-std::string video_parts(const std::vector<ReportVideo>& videos) {
+std::string video_parts(const std::vector<ShownVideo>& videos) {
   if (videos.empty()) return "";
   std::string html =
       "<p>The share of sampled frames that each model assigns to the target class, over all and by "
       "background.</p>\n";
-  for (const ReportVideo& video : videos) {
-    const Json record = parse_json(video.record_json, "a video's record");
-    const std::string name = video_name(record);
-    html += "<h3>" + name + "</h3>\n" + video_table(record) +
-            frame_strip(video.frames, name, text(member(record, "target"), "name"));
+  for (const ShownVideo& video : videos) {
+    const std::string name = escape(std::filesystem::path(video.record.video).filename().string());
+    html += "<h3>" + name + "</h3>\n" + video_table(video.record, name) +
+            frame_strip(video.frames, name, video.record.target.name);
   }
   return html;
 }
 
-std::string geometry_list(const Json& own, const std::vector<std::string>& others) {
-  std::string facts = geometry_facts(member(own, "geometry"));
-  for (size_t i = 0; i < others.size() && facts.empty(); ++i) {
-    facts = geometry_facts(member(parse_json(others[i], "another record"), "geometry"));
+std::string geometry_list(const OwnEvaluation& own,
+                          const std::vector<record::EvaluationRecord>& others) {
+  std::string facts;
+  if (own && own->geometry) facts = geometry_facts(*own->geometry);
+  for (const record::EvaluationRecord& other : others) {
+    if (facts.empty() && other.geometry) facts = geometry_facts(*other.geometry);
   }
   if (facts.empty()) return "";
   return "<h3>Shape against the clean object</h3>\n<dl class=\"quality\">\n" + facts +

@@ -1,31 +1,37 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
-#include "html.h"
+#include "tt3d/record.h"
 #include "tt3d/report.h"
 
-/// Tables of the records beside a run's own evaluation. No records give "".
+/// Tables of the records beside the evaluation of the run. Without records they are "".
 namespace tt3d::report {
 
-/// Success by renderer and background: a row an evaluation, a column a model of `own`.
-[[nodiscard]] std::string renderer_table(const Json& own, const std::vector<std::string>& others);
+using OwnEvaluation = std::optional<record::EvaluationRecord>;
 
-/// What `tt3d judge` found: a row a task and phrase, marked where the phrase is a name of the
-/// record's target or true class.
-[[nodiscard]] std::string task_table(const std::vector<std::string>& judges, const Json& own);
+/// Success by renderer and background: one row per evaluation, one column per model of `own`.
+[[nodiscard]] std::string renderer_table(const OwnEvaluation& own,
+                                         const std::vector<record::EvaluationRecord>& others);
 
-/// "target" or "true class" where a phrase is a name of the record's, else "".
-[[nodiscard]] std::string phrase_role(const std::string& phrase, const Json& own);
-/// A judge's task in words.
+/// Results of `tt3d judge`: one row per task and phrase. A badge marks a phrase that is a name of
+/// the target or of the true class.
+[[nodiscard]] std::string task_table(const std::vector<record::JudgeRecord>& judges,
+                                     const OwnEvaluation& own);
+
+/// "target" or "true class" if a phrase is a name of this class of the evaluation, else "".
+[[nodiscard]] std::string phrase_role(const std::string& phrase, const OwnEvaluation& own);
+/// The task of a judge in words.
 [[nodiscard]] std::string task_words(const std::string& task);
 
-/// Success in videos: for each a table, a row a model, a column a background label, and the strip
-/// of its frames with the answers.
-[[nodiscard]] std::string video_parts(const std::vector<ReportVideo>& videos);
+/// Success in videos. Each video has a table (one row per model, one column per background label)
+/// and the strip of its frames with the answers.
+[[nodiscard]] std::string video_parts(const std::vector<ShownVideo>& videos);
 
-/// Distances of the shapes from the first record that has them.
-[[nodiscard]] std::string geometry_list(const Json& own, const std::vector<std::string>& others);
+/// Distances between the shapes, from the first evaluation that has them.
+[[nodiscard]] std::string geometry_list(const OwnEvaluation& own,
+                                        const std::vector<record::EvaluationRecord>& others);
 
 }  // namespace tt3d::report

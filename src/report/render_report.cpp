@@ -11,15 +11,15 @@
 #include "view_sphere.h"
 #include "viewer_object.h"
 
-namespace tt3d {
+namespace tt3d::report {
 namespace {
 
-using namespace report;
+using nlohmann::json;
 
 /// Data inside <script>: "<" must not end the element.
-std::string script_data(const Json& json) {
+std::string script_data(const json& data) {
   std::string out;
-  for (const char c : json.dump(-1, ' ', false, Json::error_handler_t::replace)) {
+  for (const char c : data.dump(-1, ' ', false, json::error_handler_t::replace)) {
     if (c == '<') {
       out += "\\u003c";
     } else {
@@ -29,19 +29,17 @@ std::string script_data(const Json& json) {
   return out;
 }
 
-Json viewer_objects(const ReportInput& input) {
-  Json objects = Json::array();
-  if (!input.clean_glb.empty()) objects.push_back(viewer_object(input.clean_glb, "clean"));
-  if (!input.adversarial_glb.empty()) {
-    objects.push_back(viewer_object(input.adversarial_glb, "adversarial"));
-  }
+json viewer_objects(const ReportInput& input) {
+  json objects = json::array();
+  if (input.clean) objects.push_back(viewer_object(*input.clean, "clean"));
+  if (input.adversarial) objects.push_back(viewer_object(*input.adversarial, "adversarial"));
   return objects;
 }
 
-std::string canvases(const Json& objects) {
+std::string canvases(const json& objects) {
   std::string html;
-  for (const Json& object : objects) {
-    const std::string name = escape(text(object, "name"));
+  for (const json& object : objects) {
+    const std::string name = escape(object["name"].get<std::string>());
     html += "<figure><canvas tabindex=\"0\" role=\"img\" aria-label=\"The " + name +
             " object in 3D. Arrow keys turn it, plus and minus zoom.\"></canvas><figcaption>" +
             name + "</figcaption></figure>\n";
@@ -49,7 +47,7 @@ std::string canvases(const Json& objects) {
   return html;
 }
 
-std::string viewer_section(const Json& objects) {
+std::string viewer_section(const json& objects) {
   if (objects.empty()) return "";
   return section(
       "objects", "The object, from any side",
@@ -72,13 +70,16 @@ std::string configuration(const std::string& toml) {
 }  // namespace
 
 std::string render_report(const ReportInput& input) {
-  const Json record = parse_json(input.record_json, "the evaluation record");
-  const Json run = parse_json(input.run_json, "run.json");
-  const RunFigures figures =
-      run_figures(record, parse_json(input.field_metrics_json, "the field's metrics"),
-                  parse_json(input.mesh_metrics_json, "the mesh's metrics"),
-                  surrogate_names(run, input.config_toml));
+  RunFigures figures;
+  figures.evaluation = input.evaluation;
+  figures.field = input.field;
+  figures.mesh = input.mesh;
+  const auto surrogates = input.run ? input.run->surrogates() : std::vector<std::string>();
+  if (input.evaluation) figures.victims = shown_victims(*input.evaluation, surrogates);
   const std::string title = input.title.empty() ? "Adversarial 3D object" : input.title;
+  const std::string target =
+      input.evaluation ? first_name(input.evaluation->target) : std::string();
+  const auto stages = input.run ? input.run->stages : std::vector<record::StageRecord>();
   return page(
       {{"title", escape(title)},
        {"summary", summary(figures)},
@@ -86,25 +87,23 @@ std::string render_report(const ReportInput& input) {
        {"objects", viewer_section(viewer_objects(input))},
        {"results", section("results", "Attack success", result_table(figures))},
        {"renderers",
-        section("renderers", "Other renderers", renderer_table(record, input.other_records))},
-       {"tasks", section("tasks", "Other tasks", task_table(input.judge_records, record))},
+        section("renderers", "Other renderers", renderer_table(input.evaluation, input.others))},
+       {"tasks", section("tasks", "Other tasks", task_table(input.judges, input.evaluation))},
        {"videos", section("videos", "Videos", video_parts(input.videos))},
-       {"spheres",
-        section("spheres", "Where the attack fails", view_spheres(input.views_csv, record))},
+       {"spheres", section("spheres", "Where the attack fails", view_spheres(input.evaluation))},
        {"quality", section("quality", "Naturalness and quality",
-                           quality_list(figures) + geometry_list(record, input.other_records))},
-       {"sheet", section("views", "Views", contact_sheet(input.views, figures.target))},
-       {"curves", section("curves", "Optimisation", curve_charts(input.curves_csv))},
-       {"stages", section("stages", "Time and memory", stage_table(run))},
+                           quality_list(figures) + geometry_list(input.evaluation, input.others))},
+       {"sheet", section("views", "Views", contact_sheet(input.views, target))},
+       {"curves", section("curves", "Optimisation", curve_charts(input.curves))},
+       {"stages", section("stages", "Time and memory", stage_table(stages))},
        {"provenance", section("provenance", "How this was made",
                               configuration(input.config_toml) +
-                                  "<details><summary>Versions, "
-                                  "seed and checksums</summary>\n" +
-                                  provenance(run, record) + "</details>\n")}});
+                                  "<details><summary>Versions, seed and checksums</summary>\n" +
+                                  provenance(input.run, input.evaluation) + "</details>\n")}});
 }
 
 void write_report(const ReportInput& input, const std::filesystem::path& html) {
   write_file_atomic(html, render_report(input));
 }
 
-}  // namespace tt3d
+}  // namespace tt3d::report

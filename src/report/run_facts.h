@@ -1,20 +1,17 @@
 #pragma once
 
+#include <optional>
 #include <string>
-#include <vector>
 
-#include "html.h"
+#include "tt3d/record.h"
 
 namespace tt3d::report {
 
-/// Names of the models the attack saw: attack.surrogates of run.json, else of the TOML text.
-/// Paths are reduced to the model's name.
-[[nodiscard]] std::vector<std::string> surrogate_names(const Json& run, const std::string& toml);
-
-/// Time and peak memory of each stage, as a table.
-[[nodiscard]] std::string stage_table(const Json& run);
+/// Time and peak memory of each stage, as a table; "" without stages.
+[[nodiscard]] std::string stage_table(const std::vector<record::StageRecord>& stages);
 
 /// Seed, versions and input hashes, as a list.
-[[nodiscard]] std::string provenance(const Json& run, const Json& record);
+[[nodiscard]] std::string provenance(const std::optional<record::RunRecord>& run,
+                                     const std::optional<record::EvaluationRecord>& evaluation);
 
 }  // namespace tt3d::report

@@ -1,13 +1,12 @@
 #include "view_sphere.h"
 
+#include "html.h"
+
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdlib>
-#include <map>
-#include <sstream>
 #include <vector>
 
 namespace tt3d::report {
@@ -15,48 +14,11 @@ namespace {
 
 constexpr double kWidth = 420, kHeight = 230, kLeft = 44, kTop = 10, kRight = 22, kBottom = 40;
 
-struct View {
+/// A view as a point in the plot.
+struct Point {
   double azimuth = 0, elevation = 0;
   bool hit = false;
 };
-
-/// Cells of a CSV line; quotes enclose commas.
-std::vector<std::string> cells(const std::string& line) {
-  std::vector<std::string> out(1);
-  bool quoted = false;
-  for (const char c : line) {
-    if (c == '"') {
-      quoted = !quoted;
-    } else if (c == ',' && !quoted) {
-      out.emplace_back();
-    } else if (c != '\r') {
-      out.back() += c;
-    }
-  }
-  return out;
-}
-
-std::map<std::string, std::vector<View>> read_views(const std::string& csv, int64_t target) {
-  std::map<std::string, std::vector<View>> views;
-  std::istringstream stream(csv);
-  std::string line;
-  if (!std::getline(stream, line)) return views;
-  const std::vector<std::string> names = cells(line);
-  const auto column = [&](const char* name) {
-    return static_cast<size_t>(std::find(names.begin(), names.end(), name) - names.begin());
-  };
-  const std::array<size_t, 4> wanted = {column("victim"), column("azimuth_deg"),
-                                        column("elevation_deg"), column("top1_index")};
-  const size_t last = *std::max_element(wanted.begin(), wanted.end());
-  while (std::getline(stream, line)) {
-    const std::vector<std::string> row = cells(line);
-    if (last >= row.size()) continue;
-    views[row[wanted[0]]].push_back({std::atof(row[wanted[1]].c_str()),
-                                     std::atof(row[wanted[2]].c_str()),
-                                     std::atoll(row[wanted[3]].c_str()) == target});
-  }
-  return views;
-}
 
 double column_of(double azimuth) {
   return kLeft + (azimuth - 360 * std::floor(azimuth / 360)) / 360 * (kWidth - kLeft - kRight);
@@ -85,10 +47,10 @@ std::string axes() {
                    (kLeft + kWidth) / 2, kHeight - 6);
 }
 
-/// Shares by eighth of the turn, for readers who cannot see the plot.
-std::string spoken(const std::vector<View>& views) {
+/// Shares by octant of azimuth, for screen readers.
+std::string spoken(const std::vector<Point>& views) {
   std::array<int, 8> hits{}, counts{};
-  for (const View& v : views) {
+  for (const Point& v : views) {
     const double turn = v.azimuth / 360 - std::floor(v.azimuth / 360);
     const auto octant = std::min<size_t>(7, static_cast<size_t>(turn * 8));
     ++counts[octant];
@@ -103,10 +65,10 @@ std::string spoken(const std::vector<View>& views) {
   return words;
 }
 
-std::string plot(const std::string& victim, const std::vector<View>& views) {
+std::string plot(const std::string& victim, const std::vector<Point>& views) {
   std::string points;
   int64_t hits = 0;
-  for (const View& v : views) {
+  for (const Point& v : views) {
     hits += v.hit;
     points += fmt::format("<circle class=\"{}\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"{}\"/>\n",
                           v.hit ? "seen-hit" : "seen-miss", column_of(v.azimuth),
@@ -122,16 +84,21 @@ std::string plot(const std::string& victim, const std::vector<View>& views) {
 
 }  // namespace
 
-std::string view_spheres(const std::string& csv, const Json& record) {
-  const auto target = number(member(record, "target"), "index");
-  if (!target) return "";
+std::string view_spheres(const std::optional<record::EvaluationRecord>& evaluation) {
+  if (!evaluation) return "";
   std::string plots;
-  for (const auto& [victim, views] : read_views(csv, static_cast<int64_t>(*target))) {
-    plots += plot(victim, views);
+  for (const record::VictimRecord& victim : evaluation->victims) {
+    std::vector<Point> points;
+    for (size_t i = 0; i < victim.answers.size(); ++i) {
+      const record::ViewPose& pose = evaluation->poses[i];
+      points.push_back({pose.azimuth_deg, pose.elevation_deg,
+                        victim.answers[i].top1 == evaluation->target.index});
+    }
+    if (!points.empty()) plots += plot(victim.name, points);
   }
   if (plots.empty()) return "";
-  return "<p>Every view that was scored. <span class=\"hit key\">\u25cf says the target</span> "
-         "<span class=\"miss key\">\u25cb says something else</span></p>\n<div "
+  return "<p>All scored views. <span class=\"hit key\">\u25cf answers the target</span> "
+         "<span class=\"miss key\">\u25cb another answer</span></p>\n<div "
          "class=\"charts\">\n" +
          plots + "</div>\n";
 }

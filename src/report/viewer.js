@@ -1,4 +1,4 @@
-// Draws the embedded objects, unlit and textured, turning in step. WebGL 2, no library.
+// Draws the embedded objects, unlit and textured, turning in synchrony. WebGL 2, no library.
 "use strict";
 (() => {
   const TURN_PER_SECOND = 0.5;   // radians
@@ -54,7 +54,7 @@
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
   }
 
-  // Puts one object onto the graphics card; returns what drawing needs.
+  // Uploads one object to the GPU; returns the handles for drawing.
   async function upload(canvas, object) {
     const gl = canvas.getContext("webgl2", { antialias: true });
     if (!gl) throw new Error("no WebGL 2");
@@ -78,7 +78,7 @@
 
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
-  // Column-major world-to-clip matrix: the camera circles the centre, +Z is up.
+  // Column-major world-to-clip matrix; the camera orbits the centre, +Z is up.
   function worldToClip(centre, radius, aspect) {
     const [ca, sa] = [Math.cos(view.azimuth), Math.sin(view.azimuth)];
     const [ce, se] = [Math.cos(view.elevation), Math.sin(view.elevation)];
@@ -107,7 +107,7 @@
     gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
   }
 
-  // Share of a canvas that is not background: tells tests that something was drawn.
+  // Fraction of a canvas that is not background. Tests use it to see that something was drawn.
   function coverage({ canvas, gl }) {
     const pixels = new Uint8Array(4 * canvas.width * canvas.height);
     gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
@@ -118,8 +118,8 @@
     return covered * 4 / pixels.length;
   }
 
-  // Marks the page once the first frame is there; #measure at the address adds the coverage and
-  // stops the turning, so that a slow machine has time for what is measured.
+  // Marks the page after the first frame. With #measure in the address it adds the coverage and
+  // stops the rotation, so that slow machines have time for the measurement.
   function announce(uploaded) {
     const mark = document.documentElement.dataset;
     if (location.hash === "#measure") {
@@ -171,7 +171,7 @@
 
   async function start() {
     const uploaded = await Promise.all(objects.map((object, i) => upload(canvases[i], object)));
-    // The first object's bounding sphere frames all, so that they stay in step.
+    // All objects use the first one's bounding sphere, so that they stay comparable.
     const centre = objects[0].low.map((low, k) => low + objects[0].size[k] / 2);
     const radius = Math.hypot(...objects[0].size) / 2;
     canvases.forEach(listen);

@@ -1,4 +1,6 @@
 #include "tt3d/eot.h"
+#include "tt3d/image.h"
+#include "tt3d/scene.h"
 
 #include <gtest/gtest.h>
 
@@ -10,8 +12,9 @@
 #include "support/gradient_check.h"
 #include "support/shapes.h"
 #include "support/temporary_folder.h"
+#include "tt3d/attack.h"
 
-namespace tt3d {
+namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
@@ -20,7 +23,7 @@ using testing::no_transforms;
 double value(const Tensor& x) { return x.item<double>(); }
 
 TEST(Eot, PaddingIsBackgroundAndNeverBlack) {
-  // A fully transparent rendering is background alone, whatever the placement.
+  // A fully transparent rendering gives the background alone, for any placement.
   EotOptions o;
   o.brightness = o.contrast = o.saturation = o.noise = o.plain_background = 0;
   const Tensor out = transform_images(at::zeros({4, 4, 20, 20}), 24, o, 1, 0);
@@ -29,8 +32,8 @@ TEST(Eot, PaddingIsBackgroundAndNeverBlack) {
 
 TEST(Eot, PhotographsStandBehindTheObject) {
   testing::TemporaryFolder folder;
-  write_file_atomic(folder / "a.png", encode_png(at::full({6, 9, 3}, 51, at::kByte)));
-  const Backgrounds photographs(folder.path().string());
+  write_file_atomic(folder / "a.png", image::encode_png(at::full({6, 9, 3}, 51, at::kByte)));
+  const scene::Backgrounds photographs(folder.path().string());
   EotOptions o;
   o.brightness = o.contrast = o.saturation = o.noise = o.plain_background = 0;
   o.photograph_background = 1;
@@ -38,14 +41,14 @@ TEST(Eot, PhotographsStandBehindTheObject) {
   EXPECT_LT((out - 0.2).abs().max().item<double>(), 1e-4);
 }
 
-TEST(Eot, IdentityWhenEveryRangeIsZero) {
+TEST(Eot, IsTheIdentityIfEveryRangeIsZero) {
   Tensor x = testing::uniform({2, 4, 16, 16}, 0, 1, 3).to(at::kFloat);
   x.select(1, 3).fill_(1);
   const Tensor out = transform_images(x, 16, no_transforms(), 1, 0);
   EXPECT_LT(value((out - x.narrow(1, 0, 3)).abs().max()), 1e-5);
 }
 
-/// Every transform with a range of its own, and what switches it on.
+/// Every transform with its name and a function that turns it on.
 std::vector<std::pair<std::string, std::function<void(EotOptions&)>>> switches() {
   return {{"scale", [](EotOptions& o) { o.scale_low = 0.5; }},
           {"shift", [](EotOptions& o) { o.shift = 0.3; }},
@@ -61,7 +64,7 @@ std::vector<std::pair<std::string, std::function<void(EotOptions&)>>> switches()
           {"jpeg", [](EotOptions& o) { o.jpeg = 1, o.jpeg_quality_low = 5; }}};
 }
 
-TEST(Eot, EachTransformActsAndDependsOnTheStep) {
+TEST(Eot, EachTransformChangesThePictureAndDependsOnTheStep) {
   const Tensor x = testing::uniform({1, 4, 16, 16}, 0, 0.8, 3).to(at::kFloat);
   const Tensor base = transform_images(x, 16, no_transforms(), 1, 0);
   for (const auto& [name, switch_on] : switches()) {
@@ -74,8 +77,8 @@ TEST(Eot, EachTransformActsAndDependsOnTheStep) {
   }
 }
 
-TEST(Eot, TransformsOfTheirOwnStreamLeaveTheOthersDraws) {
-  // With jpeg and resolution on but at no effect, the rest is what it was, to the last bit.
+TEST(Eot, TransformsWithTheirOwnStreamKeepTheDrawsOfTheOthers) {
+  // With jpeg and resolution on but without effect, the result does not change.
   const Tensor x = testing::uniform({3, 4, 16, 16}, 0, 0.8, 3).to(at::kFloat);
   EotOptions o;
   const Tensor before = transform_images(x, 16, o, 1, 1);
@@ -86,7 +89,7 @@ TEST(Eot, TransformsOfTheirOwnStreamLeaveTheOthersDraws) {
 
 // ---- Distributions ------------------------------------------------------------------------
 
-/// That draws are uniform in [low, high]: inside, reaching near both ends, mean and variance.
+/// Checks that draws are uniform in [low, high]: bounds, values near both ends, mean and variance.
 void expect_uniform(const Tensor& draws, double low, double high, const std::string& what) {
   const double width = high - low, n = static_cast<double>(draws.numel());
   const Tensor x = draws.to(at::kDouble);
@@ -100,7 +103,8 @@ void expect_uniform(const Tensor& draws, double low, double high, const std::str
 
 constexpr int64_t kDraws = 300, kSide = 32;
 
-/// A square of `half` pixels each way around (row, column), opaque and of one colour, over white.
+/// An opaque square of one colour, `half` pixels in each direction around (row, column), over
+/// white.
 Tensor squares(int64_t count, double red, double green, double blue, int64_t half = 6) {
   Tensor x = at::zeros({count, 4, kSide, kSide});
   const auto patch = x.narrow(2, kSide / 2 - half, 2 * half).narrow(3, kSide / 2 - half, 2 * half);
@@ -108,12 +112,12 @@ Tensor squares(int64_t count, double red, double green, double blue, int64_t hal
   return x;
 }
 
-/// Transformed black squares as their darkness: [N,S,S].
+/// Darkness of transformed black squares: [N,S,S].
 Tensor darkness(const EotOptions& o) {
   return 1 - transform_images(squares(kDraws, 0, 0, 0), kSide, o, 7, 0).mean(1);
 }
 
-/// Mean position of the darkness along x (dim 2) or y (dim 1), in pixels from the middle.
+/// Centroid of the darkness along x (dim 2) or y (dim 1), in pixels from the centre.
 Tensor centroid(const Tensor& dark, int64_t dim) {
   const Tensor axis = at::arange(kSide) + 0.5 - kSide / 2.0;
   const Tensor along = dark.sum(3 - dim);
@@ -132,7 +136,7 @@ TEST(EotDistribution, ScaleShiftAndRotation) {
   expect_uniform(centroid(shifted, 2), -0.15 * kSide, 0.15 * kSide, "shift along x");
   expect_uniform(centroid(shifted, 1), -0.15 * kSide, 0.15 * kSide, "shift along y");
 
-  // A bar across the frame: its direction from the second moments.
+  // The direction of a bar across the frame, from its second moments.
   o = no_transforms();
   o.rotation_deg = 40;
   Tensor bar = at::zeros({kDraws, 4, kSide, kSide});
@@ -146,7 +150,7 @@ TEST(EotDistribution, ScaleShiftAndRotation) {
   expect_uniform(degrees, -40, 40, "rotation");
 }
 
-/// Colour of the middle of transformed squares, [N,3].
+/// Colour at the centre of transformed squares, [N,3].
 Tensor middles(const EotOptions& o, double red, double green, double blue) {
   const Tensor x = squares(kDraws, red, green, blue, kSide / 2);
   return transform_images(x, kSide, o, 7, 0).select(3, kSide / 2).select(2, kSide / 2);
@@ -157,7 +161,7 @@ TEST(EotDistribution, BrightnessContrastAndSaturation) {
   o.brightness = 0.3;
   expect_uniform(middles(o, 0.5, 0.5, 0.5).select(1, 0) / 0.5, 0.7, 1.3, "brightness");
 
-  // Half the picture at 0.4, half at 0.6: their difference is the factor times 0.2.
+  // Half of the picture is 0.4 and half is 0.6, so their difference is the factor times 0.2.
   o = no_transforms();
   o.contrast = 0.3;
   Tensor halves = squares(kDraws, 0.4, 0.4, 0.4, kSide / 2);
@@ -172,7 +176,7 @@ TEST(EotDistribution, BrightnessContrastAndSaturation) {
   expect_uniform((color.select(1, 0) - color.select(1, 1)) / 0.2, 0.7, 1.3, "saturation");
 }
 
-/// A figure of each of many steps, one picture a step.
+/// A figure of many steps, with one picture per step.
 Tensor over_steps(const std::function<double(int64_t)>& figure) {
   std::vector<double> figures;
   for (int64_t step = 0; step < kDraws; ++step) figures.push_back(figure(step));
@@ -190,13 +194,14 @@ TEST(EotDistribution, BlurResolutionAndNoise) {
     const Tensor row = transform_images(edge, kSide, o, 7, step)[0][0][kSide / 2];
     return value(((row.diff() * axis.square()).sum() / row.diff().sum()).sqrt());
   });
-  // The kernel ends at two sigma, which takes a tenth of it; below 0.2 pixels there is no blur.
+  // The kernel ends at two sigma, which lowers the measured sigma by a tenth. Below 0.2 pixels
+  // there is no blur.
   EXPECT_LT(value(sigma.max()), 3);
   EXPECT_GT(value(sigma.max()), 2.4);
   EXPECT_LT(value(sigma.min()), 0.1);
   EXPECT_NEAR(value(sigma.mean()), 0.88 * 1.5, 0.15);
 
-  // Fine stripes vanish as the resolution falls: they are white noise to every share below 1/2.
+  // Stripes of one pixel vanish if the resolution is below one half.
   o = no_transforms();
   o.resolution = 0.25;
   Tensor stripes = squares(1, 0, 0, 0, kSide / 2);
@@ -215,7 +220,7 @@ TEST(EotDistribution, BlurResolutionAndNoise) {
   expect_uniform(spread, 0, 0.1, "noise");
 }
 
-TEST(EotDistribution, BackgroundsAndJpegTakeTheirShare) {
+TEST(EotDistribution, SharesOfBackgroundsAndJpeg) {
   EotOptions o = no_transforms();
   o.plain_background = 0.3;
   const Tensor behind = transform_images(at::zeros({kDraws, 4, 8, 8}), 8, o, 7, 0);
@@ -236,12 +241,13 @@ TEST(EotDistribution, BackgroundsAndJpegTakeTheirShare) {
 
 TEST(EotDistribution, ShiftOfTheObject) {
   EotOptions o = no_transforms();
-  const ViewFrame frame = {{0, 0, 0}, 1, 3.2, 40};
-  std::vector<Camera> cameras(kDraws, sample_views("dome", 1, 0, 1, 32, frame)[0].camera);
+  const scene::ViewFrame frame = {{0, 0, 0}, 1, 3.2, 40};
+  std::vector<scene::Camera> cameras(
+      kDraws, scene::sample_views(scene::ViewDistribution::kDome, 1, 0, 1, 32, frame)[0].camera);
   const auto moved = [&] {
     const auto shifted = shift_object(cameras, 2, o, 7, 0);
     std::vector<double> by;
-    for (const Camera& c : shifted) {
+    for (const scene::Camera& c : shifted) {
       for (int k = 0; k < 3; ++k) by.push_back(c.position()[k] - cameras[0].position()[k]);
     }
     return at::tensor(by, at::kDouble).view({-1, 3});
@@ -253,8 +259,8 @@ TEST(EotDistribution, ShiftOfTheObject) {
   }
 }
 
-TEST(EotDistribution, LightComesFromAllSidesInItsShare) {
-  // Three patches whose normals are the axes: their factors are those of the drawn direction.
+TEST(EotDistribution, LightHasAUniformDirectionAndItsShare) {
+  // Three patches with the axes as normals; their factors give the drawn direction.
   EotOptions o = no_transforms();
   o.light = 0.5;
   Tensor normals = at::zeros({kDraws, 3, 1, 6});
@@ -266,7 +272,7 @@ TEST(EotDistribution, LightComesFromAllSidesInItsShare) {
   const Tensor lit = light_pictures(white, normals, o, 7, 0);
   EXPECT_TRUE(at::equal(lit.select(1, 3), white.select(1, 3)));
   const Tensor factor = lit.select(1, 0).squeeze(1);
-  // Opposite sides differ by 4 share cosine.
+  // Opposite sides differ by 4 * share * cosine.
   const Tensor shares = (factor.select(1, 0) - factor.select(1, 1)).square() +
                         (factor.select(1, 2) - factor.select(1, 3)).square() +
                         (factor.select(1, 4) - factor.select(1, 5)).square();
@@ -276,7 +282,7 @@ TEST(EotDistribution, LightComesFromAllSidesInItsShare) {
     const Tensor cosine = (factor.select(1, 2 * k) - factor.select(1, 2 * k + 1)) / (4 * share);
     expect_uniform(cosine, -1, 1, "direction, axis " + std::to_string(k));
   }
-  // As much light as before over the six sides.
+  // The mean over the six sides is unchanged.
   EXPECT_NEAR(value((factor.mean(1) - 1).abs().max()), 0, 1e-5);
   o.light = 0;
   EXPECT_TRUE(at::equal(light_pictures(white, normals, o, 7, 0), white));
@@ -290,7 +296,7 @@ TEST(EotDistribution, DiversityShrinksAndPadsWithBlack) {
   const Tensor x = transform_images(white, kSide, o, 7, 0).mean(1);
   const Tensor size = x.sum({1, 2}).sqrt() / kSide;
   expect_uniform(size, 0.5, 1, "size");
-  // The picture stays whole wherever it goes, so its place is bounded by its size.
+  // The whole picture stays in the frame, so its size bounds its position.
   const Tensor place = centroid(x, 2).abs() / kSide;
   EXPECT_LE(value((place - (1 - size) / 2).max()), 0.02);
   EXPECT_GE(value((place / ((1 - size) / 2 + 0.01)).max()), 0.9);
@@ -301,8 +307,8 @@ TEST(EotDistribution, DiversityShrinksAndPadsWithBlack) {
 
 TEST(Eot, MixAddsAShareOfAPhotograph) {
   testing::TemporaryFolder folder;
-  write_file_atomic(folder / "a.png", encode_png(at::full({6, 9, 3}, 51, at::kByte)));
-  const Backgrounds photographs(folder.path().string());
+  write_file_atomic(folder / "a.png", image::encode_png(at::full({6, 9, 3}, 51, at::kByte)));
+  const scene::Backgrounds photographs(folder.path().string());
   EotOptions o = no_transforms();
   o.mix = 0.5;
   const Tensor x = squares(2, 0.6, 0.3, 0.95, kSide / 2);
@@ -313,7 +319,7 @@ TEST(Eot, MixAddsAShareOfAPhotograph) {
 
 // ---- Operators ----------------------------------------------------------------------------
 
-/// place_over in plain tensor operations.
+/// Reference of place_over in tensor operations.
 Tensor reference_placement(const Tensor& renderings, const Tensor& maps, const Tensor& background,
                            int64_t size) {
   const Tensor grid = at::affine_grid_generator(maps, {renderings.size(0), 4, size, size}, false);
@@ -340,7 +346,7 @@ TEST(PlaceOver, EqualsTheTensorReferenceAndItsGradient) {
   }
 }
 
-TEST(PlaceOver, TakesTheFirstChannelsOfAWiderPicture) {
+TEST(PlaceOver, UsesTheFirstChannelsOfAWiderPicture) {
   const Tensor maps = testing::uniform({2, 2, 3}, -1.2, 1.2, 1);
   const Tensor background = testing::uniform({2, 3, 1, 1}, 0, 1, 2);
   const Tensor wide = testing::uniform({2, 9, 70, 8}, 0, 1, 3);
@@ -370,7 +376,7 @@ TEST(GaussianBlur, EqualsTheTensorReferenceAndItsGradient) {
         (line.unsqueeze(1) * line / line.sum().square()).unsqueeze(0).unsqueeze(0);
     Tensor x = testing::uniform({2, 3, 7, 12}, 0, 1, 3).requires_grad_(true);
     Tensor y = x.detach().clone().requires_grad_(true);
-    const Tensor ours = gaussian_blur(x, sigma);
+    const Tensor ours = image::gaussian_blur(x, sigma);
     const Tensor padded =
         at::replication_pad2d(y.reshape({6, 1, 7, 12}), {radius, radius, radius, radius});
     const Tensor reference = at::conv2d(padded, kernel).view({2, 3, 7, 12});
@@ -379,7 +385,7 @@ TEST(GaussianBlur, EqualsTheTensorReferenceAndItsGradient) {
     reference.square().sum().backward();
     EXPECT_LT(value((x.grad() - y.grad()).abs().max()), 1e-12);
     const auto loss = [&](const std::vector<Tensor>& in) {
-      return gaussian_blur(in[0], sigma).square().sum();
+      return image::gaussian_blur(in[0], sigma).square().sum();
     };
     EXPECT_LT(testing::gradient_error(loss, {x.detach()}), 1e-7);
   }
@@ -387,7 +393,7 @@ TEST(GaussianBlur, EqualsTheTensorReferenceAndItsGradient) {
 
 // ---- JPEG ---------------------------------------------------------------------------------
 
-/// A picture [1,3,H,W] with smooth parts, edges and some noise, as pictures have them.
+/// A picture [1,3,H,W] with smooth regions, edges and noise.
 Tensor scene(int64_t height, int64_t width) {
   const Tensor y = at::linspace(0, 1, height).view({-1, 1}), x = at::linspace(0, 1, width);
   const Tensor disc = ((y - 0.5).square() + (x - 0.4).square() < 0.06).to(at::kFloat);
@@ -402,18 +408,20 @@ double psnr_of(const Tensor& a, const Tensor& b) {
   return -10 * std::log10(value((a - b).square().mean()));
 }
 
-TEST(JpegStandIn, IsNearToWhatLibjpegMakes) {
+TEST(JpegStandIn, IsCloseToLibjpeg) {
   for (const auto& [height, width] : {std::pair{64, 64}, std::pair{50, 70}}) {
     const Tensor x = scene(height, width);
-    const Tensor bytes = to_uint8(x[0].permute({1, 2, 0}));
+    const Tensor bytes = image::to_uint8(x[0].permute({1, 2, 0}));
     const Tensor shown = bytes.to(at::kFloat).permute({2, 0, 1}).unsqueeze(0) / 255;
     for (const int quality : {20, 50, 75, 95}) {
-      const Tensor decoded =
-          decode_image(encode_jpeg(bytes, quality), "x.jpg").narrow(2, 0, 3).to(at::kFloat) / 255;
+      const Tensor decoded = image::decode_image(image::encode_jpeg(bytes, quality), "x.jpg")
+                                 .narrow(2, 0, 3)
+                                 .to(at::kFloat) /
+                             255;
       const Tensor real = decoded.permute({2, 0, 1}).unsqueeze(0);
       const Tensor ours = jpeg_stand_in(shown, {quality});
       const double loss = psnr_of(real, shown), error = psnr_of(real, ours);
-      // Much nearer to the real thing than the real thing is to the original.
+      // The error is much smaller than that of JPEG itself.
       EXPECT_GT(error, loss + 4) << quality;
       EXPECT_GT(error, 30) << quality;
       EXPECT_NEAR(psnr_of(ours, shown), loss, 1.5) << quality;
@@ -421,7 +429,7 @@ TEST(JpegStandIn, IsNearToWhatLibjpegMakes) {
   }
 }
 
-TEST(JpegStandIn, EachPictureHasItsQuality) {
+TEST(JpegStandIn, EachPictureHasItsOwnQuality) {
   const Tensor x = scene(32, 32);
   const Tensor both = jpeg_stand_in(at::cat({x, x}), {10, 90});
   EXPECT_TRUE(at::allclose(both[0], jpeg_stand_in(x, {10})[0], 0, 1e-6));
@@ -447,4 +455,4 @@ TEST(ResolutionAndJpeg, GradientReachesThePicture) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::attack

@@ -7,16 +7,18 @@
 #include "attack/toy_attack.h"
 #include "support/gradient_check.h"
 #include "support/temporary_folder.h"
+#include "tt3d/appearance.h"
+#include "tt3d/attack.h"
+#include "tt3d/mesh.h"
 
-namespace tt3d {
+namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
 
 double value(const Tensor& x) { return x.item<double>(); }
 
-TEST(TotalVariation, ByHand) {
-  // One pixel of 3 next to (down 4, right 0): lengths 5, then 4, 3 and 0 over a 3 x 3 picture.
+TEST(TotalVariation, EqualsAComputationByHand) {
   Tensor x = at::zeros({1, 1, 3, 3}, at::kDouble);
   x[0][0][0][1] = 4;
   x[0][0][1][0] = 3;
@@ -28,11 +30,11 @@ TEST(TotalVariation, ByHand) {
 TEST(TotalVariation, GradientAgainstCentralDifferences) {
   const auto variation = [](const std::vector<Tensor>& in) { return total_variation(in[0]); };
   EXPECT_LT(testing::gradient_error(variation, {testing::uniform({1, 2, 4, 5}, 0, 1, 3)}), 1e-6);
-  // Also where nothing was changed.
+  // Also without a change.
   EXPECT_LT(testing::gradient_error(variation, {at::zeros({1, 1, 3, 3})}), 1e-6);
 }
 
-TEST(NonPrintability, ByHand) {
+TEST(NonPrintability, EqualsAComputationByHand) {
   const Tensor printable = at::tensor({0.0, 0.0, 0.0, 1.0, 1.0, 1.0}).view({2, 3});
   const Tensor colors = at::tensor({0.3, 0.4, 0.0, 1.0, 1.0, 0.9}).view({2, 3}).t();
   EXPECT_NEAR(value(non_printability(colors, printable)), (0.5 + 0.1) / 2, 1e-6);
@@ -70,30 +72,30 @@ TEST(PrinterColors, ErrorsNameFileAndLine) {
   EXPECT_THROW((void)load_printer_colors(folder / "none.txt"), InputError);
 }
 
-TEST(Displacement, LongOffsetsAreShortenedAndOthersKept) {
+TEST(Displacement, OnlyLongOffsetsAreShortened) {
   const Tensor offsets = at::tensor({3.F, 4.F, 0.F, 0.F, 0.1F, 0.F, 0.F, 0.F, 0.F}).view({3, 3});
   limit_offsets(offsets, 1);
   EXPECT_TRUE(at::allclose(
       offsets, at::tensor({0.6F, 0.8F, 0.F, 0.F, 0.1F, 0.F, 0.F, 0.F, 0.F}).view({3, 3})));
 }
 
-TEST(Displacement, BoundHoldsAfterAnAttack) {
+TEST(Displacement, TheBoundHoldsAfterAnAttack) {
   Progress quiet;
   testing::TemporaryFolder folder;
   const AttackInput input = testing::ball_input(0);
   AttackOptions o = testing::toy_options();
-  o.vertex_rate = 1e-2;
-  o.steps = 10;
+  o.schedule.vertex_rate = 1e-2;
+  o.schedule.steps = 10;
   const auto farthest = [&](const char* checkpoint) {
     const AttackResult r = run_attack(input, o, 1, folder / checkpoint, quiet);
-    return value((r.mesh.vertices - input.mesh.vertices).norm(2, {1}).max());
+    return value((r.object.mesh.vertices - input.object.mesh.vertices).norm(2, {1}).max());
   };
   EXPECT_GT(farthest("free"), 0.02);
-  o.max_displacement = 0.01;
+  o.naturalness.max_displacement = 0.01;
   EXPECT_LE(farthest("bound"), 0.01 + 1e-6);
 }
 
-/// What is shown of a ball: pictures 0.1 off the clean ones, colours 0.5.
+/// The rendering of a ball: pictures differ from the clean ones by 0.1, colours by 0.5.
 Rendering shown_ball() {
   Rendering r;
   r.pictures = at::full({1, 4, 16, 16}, 0.6);
@@ -109,35 +111,37 @@ TEST(Naturalness, WeighsItsTerms) {
   testing::TemporaryFolder folder;
   write_file_atomic(folder / "p.txt", "0.5 0.5 0.1\n");
   AttackOptions none;
-  none.rgb_weight = none.chamfer_weight = none.laplacian_weight = none.edge_weight = 0;
-  none.printer_colors = folder / "p.txt";
-  const Tensor& rest = input.mesh.vertices;
+  NaturalnessOptions& weights = none.naturalness;
+  weights.rgb_weight = weights.chamfer_weight = weights.laplacian_weight = weights.edge_weight = 0;
+  weights.psnr_floor = weights.ssim_floor = 0;
+  weights.printer_colors = folder / "p.txt";
+  const Tensor& rest = input.object.mesh.vertices;
   const auto total = [&](const AttackOptions& o, const Tensor& vertices) {
     return value(Naturalness(input, o).terms(shown_ball(), vertices).total);
   };
   AttackOptions o = none;
   EXPECT_EQ(total(o, rest), 0);
-  o.rgb_weight = 2;
+  o.naturalness.rgb_weight = 2;
   EXPECT_NEAR(total(o, rest), 0.02, 1e-7);
-  o.psnr_floor = 20;  // stands for 0.01
+  o.naturalness.psnr_floor = 20;  // a mean squared error of 0.01
   EXPECT_NEAR(total(o, rest), 0, 1e-7);
   o = none;
-  o.printability_weight = 3;
+  o.naturalness.printability_weight = 3;
   EXPECT_NEAR(total(o, rest), 3 * 0.4, 1e-5);
   o = none;
-  o.variation_weight = 5;
+  o.naturalness.variation_weight = 5;
   EXPECT_NEAR(total(o, rest), 0, 1e-6);
   o = none;
-  o.displacement_weight = 7;
-  // A shift is no displacement of neighbours against each other; a swelling is.
+  o.naturalness.displacement_weight = 7;
+  // A shift does not displace neighbours relative to each other; scaling does.
   EXPECT_NEAR(total(o, rest + 0.1), 0, 1e-9);
-  const double edge = value(MeshRegularizer(input.mesh).edge_length(rest));
+  const double edge = value(mesh::MeshRegularizer(input.object.mesh).edge_length(rest));
   EXPECT_NEAR(total(o, rest * 1.1), 7 * 0.01 * edge, 1e-7);
-  o.optimize = {"grid"};
+  o.optimize = {object::Part::kGrid};
   EXPECT_EQ(total(o, rest * 1.1), 0);
 }
 
-TEST(Naturalness, WithoutAListPrintabilityTakesMixesOfInks) {
+TEST(Naturalness, WithoutAListPrintabilityUsesMixesOfInks) {
   const Tensor mixes = process_ink_mixes();
   EXPECT_EQ(mixes.size(0), 27);
   const auto color = [](float r, float g, float b) { return at::tensor({r, g, b}); };
@@ -148,29 +152,24 @@ TEST(Naturalness, WithoutAListPrintabilityTakesMixesOfInks) {
   EXPECT_TRUE(at::allclose(mixes[26], color(0, 0, 0)));
 }
 
-TEST(Naturalness, UnknownWeightsAreInputErrors) {
-  AttackOptions o;
-  o.laplacian = "cotan";
-  EXPECT_THROW(Naturalness(testing::ball_input(0), o), InputError);
-}
-
-TEST(Naturalness, PrintableColoursAreApproached) {
+TEST(Naturalness, AnAttackMovesColoursTowardsPrintableOnes) {
   Progress quiet;
   testing::TemporaryFolder folder;
   write_file_atomic(folder / "p.txt", "0 0 0\n1 1 1\n");
   const Tensor printable = load_printer_colors(folder / "p.txt");
   const AttackInput input = testing::ball_input(0);
   AttackOptions o = testing::toy_options(attack_preset("mesh"));
-  o.beta = 1000;
-  o.printability_weight = 1;
-  o.printer_colors = folder / "p.txt";
+  o.naturalness.beta = 1000;
+  o.naturalness.printability_weight = 1;
+  o.naturalness.printer_colors = folder / "p.txt";
   const AttackResult r = run_attack(input, o, 1, folder / "c", quiet);
-  const auto clean = VertexColorAppearance::sample(*input.appearance, input.mesh);
-  const auto score = [&](const Appearance& look) {
+  const auto clean =
+      object::VertexColorAppearance::sample(*input.object.appearance, input.object.mesh);
+  const auto score = [&](const object::Appearance& look) {
     return value(non_printability(look.parameters()[0].t(), printable));
   };
-  EXPECT_LT(score(*r.appearance), 0.7 * score(*clean));
+  EXPECT_LT(score(*r.object.appearance), 0.7 * score(*clean));
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::attack

@@ -6,20 +6,23 @@
 
 #include "capture/synthetic_capture.h"
 #include "support/temporary_folder.h"
+#include "tt3d/capture.h"
+#include "tt3d/image.h"
+#include "tt3d/scene.h"
 
-// Camera conventions: whatever the format, a point of the input's world, normalised and projected
-// with world_to_clip, lands on the pixels that show it.
+// Camera conventions. For every format, a point of the input's world, normalised and projected with
+// world_to_clip, must land on the pixels that show it.
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace {
 
 using testing::FixtureCamera;
 
-/// Column, row and depth (in the input's units) of a point of the input's world, by the public
-/// functions.
-std::array<double, 3> pixel_of(const Capture& capture, const Camera& camera,
+/// Column, row and depth (in the input's units) of a point of the input's world, computed with the
+/// public functions.
+std::array<double, 3> pixel_of(const Capture& capture, const scene::Camera& camera,
                                const testing::Vec3& point) {
-  const std::array<double, 16> clip = world_to_clip(camera, 0.1, 100);
+  const std::array<double, 16> clip = scene::world_to_clip(camera, 0.1, 100);
   double inside[4] = {0, 0, 0, 1};
   for (int a = 0; a < 3; ++a) {
     inside[a] = capture.normalization.scale * (point[a] - capture.normalization.centre[a]);
@@ -53,7 +56,8 @@ std::array<double, 3> centroid(const at::Tensor& rgba, const std::array<uint8_t,
   return sum;
 }
 
-/// Every ball is found where the loaded camera says, in all views where it is not covered.
+/// Every ball must be where the loaded camera projects it, in all views where no other ball covers
+/// it.
 void expect_balls_in_place(const Capture& capture) {
   int found = 0;
   int looked = 0;
@@ -64,7 +68,7 @@ void expect_balls_in_place(const Capture& capture) {
         const auto [x, y, count] = centroid(view.rgba, ball.colour);
         const double radius = testing::kBallRadius / depth;
         ++looked;
-        // Partly covered by another ball: its middle says nothing.
+        // Another ball covers a part of it, so its centroid is not its centre.
         if (count < 0.94 * std::numbers::pi * radius * radius * view.camera.fx * view.camera.fy) {
           continue;
         }
@@ -77,7 +81,7 @@ void expect_balls_in_place(const Capture& capture) {
   EXPECT_GT(found, 0.6 * looked);
 }
 
-/// Cameras of two sizes, with the centre off the middle and a distorting lens.
+/// Cameras with two image sizes, a principal point off the centre, and lens distortion.
 std::vector<FixtureCamera> mixed_cameras() {
   std::vector<FixtureCamera> cameras = testing::fixture_cameras(20);
   for (size_t i = 0; i < cameras.size(); ++i) {
@@ -103,7 +107,7 @@ TEST(Fixture, NerfSynthetic) {
   testing::write_nerf_synthetic(folder.path(), {cameras.begin(), cameras.begin() + 15},
                                 {cameras.begin() + 15, cameras.end()});
   const Capture capture = testing::load(folder.path());
-  EXPECT_EQ(capture.format, "nerf-synthetic");
+  EXPECT_EQ(capture.format, CaptureFormat::kNerfSynthetic);
   EXPECT_EQ(capture.train.size(), 15U);
   EXPECT_EQ(capture.test.size(), 5U);
   EXPECT_EQ(capture.files.size(), 2U);
@@ -116,7 +120,7 @@ TEST(Fixture, Nerfstudio) {
   testing::TemporaryFolder folder;
   testing::write_nerfstudio(folder.path(), mixed_cameras());
   const Capture capture = testing::load(folder.path());
-  EXPECT_EQ(capture.format, "nerfstudio");
+  EXPECT_EQ(capture.format, CaptureFormat::kNerfstudio);
   EXPECT_EQ(capture.test.size(), 3U);  // views 0, 8 and 16
   EXPECT_EQ(capture.test[1].name, "images/view_08.png");
   EXPECT_EQ(capture.train.size(), 17U);
@@ -138,7 +142,7 @@ TEST(Fixture, ColmapText) {
   testing::TemporaryFolder folder;
   testing::write_colmap_text(folder.path(), mixed_cameras());
   const Capture capture = testing::load(folder.path());
-  EXPECT_EQ(capture.format, "colmap");
+  EXPECT_EQ(capture.format, CaptureFormat::kColmap);
   expect_balls_in_place(capture);
 }
 
@@ -180,9 +184,9 @@ TEST(Fixture, MaskFilesInsteadOfAlpha) {
   const Capture with_alpha = testing::load(folder.path());
   for (int i = 0; i < 20; ++i) {
     const std::string name = "view_" + std::to_string(i / 10) + std::to_string(i % 10) + ".png";
-    const at::Tensor rgba = read_image(folder / ("images/" + name));
-    write_file_atomic(folder / ("images/" + name), encode_png(rgba.narrow(2, 0, 3)));
-    write_file_atomic(folder / ("cut/" + name), encode_png(rgba.narrow(2, 3, 1)));
+    const at::Tensor rgba = image::read_image(folder / ("images/" + name));
+    write_file_atomic(folder / ("images/" + name), image::encode_png(rgba.narrow(2, 0, 3)));
+    write_file_atomic(folder / ("cut/" + name), image::encode_png(rgba.narrow(2, 3, 1)));
   }
   testing::edit_json(folder / "transforms.json", [](auto& root) {
     for (auto& frame : root["frames"]) {
@@ -211,10 +215,10 @@ TEST(Fixture, SharedChicken) {
   // The object is inside the unit sphere around the origin.
   EXPECT_NEAR(capture.normalization.scale, 0.95, 0.06);
   for (const double c : capture.normalization.centre) EXPECT_NEAR(c, 0, 0.05);
-  const ViewFrame frame = capture_view_frame(capture);
+  const scene::ViewFrame frame = capture_view_frame(capture);
   EXPECT_NEAR(frame.fov_y_deg, 39.6, 0.1);
   EXPECT_GT(frame.distance, 2.5);
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -5,10 +5,12 @@
 
 #include "capture/synthetic_capture.h"
 #include "support/temporary_folder.h"
+#include "tt3d/capture.h"
+#include "tt3d/image.h"
 
-// Whatever is wrong with a capture is one line that names the file and the problem.
+// Every error in a capture is one line that names the file and the problem.
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace {
 
 namespace fs = std::filesystem;
@@ -25,7 +27,7 @@ std::string load_error(const fs::path& folder, const std::string& format = "auto
   return "";
 }
 
-/// A valid capture in a folder of its own, to be broken by a test.
+/// A valid capture in its own folder; each test damages it.
 class Malformed : public ::testing::Test {
  protected:
   void SetUp() override {
@@ -33,7 +35,7 @@ class Malformed : public ::testing::Test {
     testing::write_nerfstudio(folder_.path(), cameras);
   }
 
-  /// The error after `edit` of the first frame contains `expected` and the camera file's name.
+  /// After `edit` of the first frame, the error must contain `expected` and the camera file's name.
   void expect_frame_error(const std::function<void(json&)>& edit, const std::string& expected) {
     testing::edit_json(file(), [&](json& root) { edit(root["frames"][0]); });
     const std::string error = load_error(folder_.path());
@@ -56,9 +58,9 @@ class Malformed : public ::testing::Test {
 
 TEST_F(Malformed, FolderWithoutACapture) {
   testing::TemporaryFolder empty;
-  EXPECT_NE(load_error(empty.path()).find("holds no capture"), std::string::npos);
+  EXPECT_NE(load_error(empty.path()).find("contains no capture"), std::string::npos);
   EXPECT_NE(load_error(empty / "none").find("no such folder"), std::string::npos);
-  EXPECT_NE(load_error(folder_.path(), "obj").find("expected auto"), std::string::npos);
+  EXPECT_NE(load_error(folder_.path(), "obj").find("expected one of auto"), std::string::npos);
   EXPECT_NE(load_error(folder_.path(), "colmap").find("no COLMAP model"), std::string::npos);
 }
 
@@ -80,7 +82,7 @@ TEST_F(Malformed, NoFrames) {
 
 TEST_F(Malformed, NotANumberInTheMatrix) {
   expect_frame_error([](json& frame) { frame["transform_matrix"][1][2] = nullptr; },
-                     "not a number");
+                     "transform_matrix[1][2]: expected a finite number");
 }
 
 TEST_F(Malformed, SingularMatrix) {
@@ -155,19 +157,19 @@ TEST_F(Malformed, EmptyTruncatedAndCorruptImages) {
 }
 
 TEST_F(Malformed, ImageSizeDisagrees) {
-  write_file_atomic(image(), encode_png(at::zeros({64, 64, 4}, at::kByte)));
+  write_file_atomic(image(), image::encode_png(at::zeros({64, 64, 4}, at::kByte)));
   expect_error("is 64x64 pixels", "view_03.png");
   expect_error("says 120x90", "frames[3]");
 }
 
 TEST_F(Malformed, MaskSizeDisagrees) {
-  write_file_atomic(folder_ / "m.png", encode_png(at::zeros({8, 8, 1}, at::kByte)));
+  write_file_atomic(folder_ / "m.png", image::encode_png(at::zeros({8, 8, 1}, at::kByte)));
   testing::edit_json(file(), [](json& root) { root["frames"][0]["mask_path"] = "m.png"; });
   expect_error("expected the size of its image", "m.png");
 }
 
 TEST_F(Malformed, SomeImagesWithoutMasks) {
-  write_file_atomic(image(), encode_png(read_image(image()).narrow(2, 0, 3)));
+  write_file_atomic(image(), image::encode_png(image::read_image(image()).narrow(2, 0, 3)));
   expect_error("neither alpha nor a mask", "view_03.png");
 }
 
@@ -190,15 +192,15 @@ TEST_F(Malformed, Lenses) {
 
 TEST_F(Malformed, ObjectNeverInView) {
   for (const auto& entry : fs::directory_iterator(folder_ / "images")) {
-    const at::Tensor rgba = read_image(entry.path());
+    const at::Tensor rgba = image::read_image(entry.path());
     rgba.select(2, 3).zero_();
-    write_file_atomic(entry.path(), encode_png(rgba));
+    write_file_atomic(entry.path(), image::encode_png(rgba));
   }
   expect_error("never enters the view", folder_.path().string());
 }
 
 TEST_F(Malformed, MasksThatMeetNowhere) {
-  // Every camera turned to look away from the object, the pictures unchanged.
+  // All cameras turned away from the object; the pictures are unchanged.
   testing::edit_json(file(), [](json& root) {
     for (auto& frame : root["frames"]) {
       for (int r = 0; r < 3; ++r) {
@@ -260,7 +262,7 @@ TEST_F(MalformedColmap, RotationThatIsNone) {
 
 TEST_F(MalformedColmap, NoImages) {
   write_file_atomic(text_ / "sparse/0/images.txt", "# nothing\n");
-  EXPECT_NE(load_error(text_.path()).find("holds no images"), std::string::npos);
+  EXPECT_NE(load_error(text_.path()).find("contains no images"), std::string::npos);
 }
 
 TEST_F(MalformedColmap, EveryTruncationOfBinaryIsAnError) {
@@ -285,4 +287,4 @@ TEST_F(MalformedColmap, HugeCountsAreErrorsNotAllocations) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -5,8 +5,10 @@
 
 #include "capture/synthetic_capture.h"
 #include "support/temporary_folder.h"
+#include "tt3d/capture.h"
+#include "tt3d/image.h"
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace {
 
 /// Largest distance of a fixture ball's surface from the origin of the normalised frame.
@@ -76,16 +78,16 @@ TEST(Normalize, WithoutMasksTheCamerasDecide) {
   for (int i = 0; i < 30; ++i) {
     const auto path =
         folder / ("images/view_" + std::to_string(i / 10) + std::to_string(i % 10) + ".png");
-    write_file_atomic(path, encode_png(read_image(path).narrow(2, 0, 3)));
+    write_file_atomic(path, image::encode_png(image::read_image(path).narrow(2, 0, 3)));
   }
   const Capture capture = testing::load(folder.path());
   EXPECT_FALSE(capture.has_masks);
   EXPECT_NEAR(capture.normalization.centre[0], 1, 1e-3);
   EXPECT_NEAR(capture.normalization.centre[1], -2, 1e-3);
   EXPECT_NEAR(capture.normalization.centre[2], 3, 1e-3);
-  // The ball that fills the view: about 5.5 sin(atan(45 / 150)).
+  // The ball that fills the view has a radius of about 5.5 sin(atan(45 / 150)).
   EXPECT_NEAR(0.95 / capture.normalization.scale, 5.5 * std::sin(std::atan(0.3)), 0.15);
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::capture

@@ -1,19 +1,22 @@
 #include "capture/resample.h"
+#include "tt3d/capture.h"
+#include "tt3d/image.h"
+#include "tt3d/scene.h"
 
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
 
-namespace tt3d {
+namespace tt3d::capture {
 namespace {
 
 TEST(Downscale, TransparentColourDoesNotBleed) {
-  // Left half opaque blue, right half transparent pink; the middle column of three is a mixture.
+  // Left half opaque blue, right half transparent pink; the middle of the three columns mixes both.
   at::Tensor image = at::zeros({4, 6, 4}, at::kByte);
   image.narrow(1, 0, 3).copy_(at::tensor({0, 0, 200, 255}).to(at::kByte));
   image.narrow(1, 3, 3).copy_(at::tensor({255, 0, 200, 0}).to(at::kByte));
-  const at::Tensor small = downscale(image, 3, 2);
+  const at::Tensor small = image::downscale(image, 3, 2);
   const at::Tensor expected =
       at::tensor({0, 0, 200, 255, 0, 0, 200, 128, 0, 0, 0, 0}).to(at::kByte).view({1, 3, 4});
   EXPECT_TRUE(at::equal(small, expected.expand({2, 3, 4}))) << small;
@@ -23,7 +26,7 @@ TEST(Downscale, FractionalRatioIsAnAreaAverage) {
   // 3 columns to 2: each target covers one and a half source pixels.
   at::Tensor image = at::full({1, 3, 4}, 255, at::kByte);
   image.select(2, 0).copy_(at::tensor({30, 60, 90}).to(at::kByte).view({1, 3}));
-  const at::Tensor small = downscale(image, 2, 1);
+  const at::Tensor small = image::downscale(image, 2, 1);
   EXPECT_EQ(small[0][0][0].item<uint8_t>(), 40);
   EXPECT_EQ(small[0][1][0].item<uint8_t>(), 80);
 }
@@ -47,8 +50,8 @@ TEST(LimitSize, ScalesIntrinsicsWithEachAxis) {
   EXPECT_EQ(view.camera.width, 40);  // never enlarged
 }
 
-Camera test_camera() {
-  Camera camera;
+scene::Camera test_camera() {
+  scene::Camera camera;
   camera.width = 160;
   camera.height = 120;
   camera.fx = camera.fy = 140;
@@ -57,7 +60,7 @@ Camera test_camera() {
   return camera;
 }
 
-/// What the ideal camera sees: colours that vary smoothly with the direction.
+/// The picture of the ideal camera: colours vary smoothly with the direction.
 std::array<double, 3> scene(double x, double y) {
   return {128 + 100 * std::sin(4 * x), 128 + 100 * std::sin(5 * y),
           128 + 90 * std::sin(3 * (x - y))};
@@ -78,7 +81,7 @@ std::array<double, 2> ideal_of(const Distortion& d, double xd, double yd) {
 }
 
 TEST(Undistort, GivesThePictureOfTheIdealCamera) {
-  const Camera camera = test_camera();
+  const scene::Camera camera = test_camera();
   const Distortion lens = {0.15, -0.05, 0.006, -0.004};
   at::Tensor photo = at::full({camera.height, camera.width, 4}, 255, at::kByte);
   auto pixels = photo.accessor<uint8_t, 3>();
@@ -106,8 +109,8 @@ TEST(Undistort, GivesThePictureOfTheIdealCamera) {
 }
 
 TEST(Undistort, BeyondThePhotographIsTransparentOrTheEdge) {
-  const Camera camera = test_camera();
-  const Distortion pincushion = {0.5, 0, 0, 0};  // the ideal picture reaches beyond the photograph
+  const scene::Camera camera = test_camera();
+  const Distortion pincushion = {0.5, 0, 0, 0};  // the ideal picture is larger than the photograph
   const at::Tensor photo = at::full({camera.height, camera.width, 4}, 255, at::kByte);
   EXPECT_EQ(undistort(photo, camera, pincushion, true)[0][0][3].item<uint8_t>(), 0);
   EXPECT_EQ(undistort(photo, camera, pincushion, false)[0][0][3].item<uint8_t>(), 255);
@@ -120,4 +123,4 @@ TEST(Undistort, FoldedLensModelIsNotFollowed) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::capture

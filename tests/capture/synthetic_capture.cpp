@@ -6,7 +6,9 @@
 #include <cmath>
 #include <sstream>
 
+#include "tt3d/capture.h"
 #include "tt3d/core.h"
+#include "tt3d/image.h"
 
 namespace tt3d::testing {
 namespace fs = std::filesystem;
@@ -37,7 +39,7 @@ json opengl_matrix(const FixtureCamera& c) {
 }
 
 void write_image(const fs::path& path, const FixtureCamera& camera) {
-  write_file_atomic(path, encode_png(draw(camera)));
+  write_file_atomic(path, image::encode_png(draw(camera)));
 }
 
 /// Quaternion w x y z of the rotation whose rows are right, down, forward.
@@ -46,7 +48,7 @@ std::array<double, 4> colmap_rotation(const FixtureCamera& c) {
   const double trace = c.right[0] + down[1] + c.forward[2];
   const double entries[4] = {trace, c.right[0], down[1], c.forward[2]};
   const auto largest = std::max_element(entries, entries + 4) - entries;
-  // Shepperd's method: each off-diagonal sum or difference is 4 times a product of two parts.
+  // Shepperd's method: each off-diagonal sum or difference is 4 times a product of two components.
   const double a = c.forward[1] - down[2], b = c.right[2] - c.forward[0], d = down[0] - c.right[1];
   const double e = down[0] + c.right[1], f = c.right[2] + c.forward[0], g = c.forward[1] + down[2];
   const double s = 2 * std::sqrt(largest == 0 ? 1 + trace : 1 + 2 * entries[largest] - trace);
@@ -250,12 +252,13 @@ void edit_json(const fs::path& path, const std::function<void(json&)>& edit) {
   write_file_atomic(path, root.dump(1));
 }
 
-Capture load(const fs::path& folder, const std::string& format) {
+capture::Capture load(const fs::path& folder, const std::string& format) {
   Progress progress;
-  CaptureOptions options;
+  capture::CaptureOptions options;
   options.path = folder;
-  options.format = format;
-  return load_capture(options, progress);
+  options.format = parse_enum<capture::CaptureFormat>(format);
+  options.max_size = 0;
+  return capture::load_capture(options, progress);
 }
 
 }  // namespace tt3d::testing

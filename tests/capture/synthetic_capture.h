@@ -9,8 +9,8 @@
 
 #include "tt3d/capture.h"
 
-/// Captures with a known answer: coloured balls drawn by the textbook pinhole formula, written in
-/// each format with code that shares nothing with the readers.
+/// Captures with known content: coloured balls, drawn with the textbook pinhole formula. The code
+/// that writes each format is independent of the readers.
 namespace tt3d::testing {
 
 using Vec3 = std::array<double, 3>;
@@ -29,17 +29,17 @@ struct FixtureCamera {
   std::array<double, 4> distortion{};  ///< k1 k2 p1 p2
 };
 
-/// The balls of the fixture: red, green and blue, not symmetric under any flip.
+/// The balls of the fixture: red, green and blue; no flip maps them onto themselves.
 [[nodiscard]] const std::vector<Ball>& fixture_balls();
 inline constexpr double kBallRadius = 0.16;
 
-/// `count` cameras on a spiral around (1, -2, 3), the middle of the balls, looking at it.
+/// `count` cameras on a spiral around (1, -2, 3), the centre of the balls, looking at it.
 [[nodiscard]] std::vector<FixtureCamera> fixture_cameras(int count);
 
 /// Column and row (pixel centres at .5) of a point, with the lens distortion.
 [[nodiscard]] std::array<double, 2> project(const FixtureCamera& camera, const Vec3& point);
 
-/// [H,W,4] picture of the balls; transparent, with a misleading pink, elsewhere.
+/// [H,W,4] picture of the balls; the other pixels are transparent, with a misleading pink.
 [[nodiscard]] at::Tensor draw(const FixtureCamera& camera);
 
 /// Writers. Images go to images/ (train/ and test/ for NeRF-synthetic) as view_00.png, ...
@@ -57,6 +57,7 @@ void write_colmap_binary(const std::filesystem::path& folder,
 void edit_json(const std::filesystem::path& path, const std::function<void(nlohmann::json&)>& edit);
 
 /// Loads with default options.
-[[nodiscard]] Capture load(const std::filesystem::path& folder, const std::string& format = "auto");
+[[nodiscard]] capture::Capture load(const std::filesystem::path& folder,
+                                    const std::string& format = "auto");
 
 }  // namespace tt3d::testing

@@ -1,5 +1,10 @@
+#include <fcntl.h>
 #include <gtest/gtest.h>
+#include <sched.h>
+#include <sys/mount.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <csignal>
@@ -68,8 +73,55 @@ TEST(Files, FolderThatCannotBeMadeIsAResourceError) {
   EXPECT_THROW(write_file_atomic("/proc/tt3d/file", "x"), ResourceError);
 }
 
-TEST(Files, FullDiskIsAResourceError) {
-  EXPECT_THROW(write_file_atomic("/dev/full/x", "x"), ResourceError);
+constexpr int kNoDisk = 77;
+
+/// Mounts a disk of 64 KiB that only this process sees: as root, or in a namespace where it is
+/// root.
+bool mount_small_disk(const std::filesystem::path& folder) {
+  const std::string user = "0 " + std::to_string(::getuid()) + " 1";
+  const std::string group = "0 " + std::to_string(::getgid()) + " 1";
+  if (::unshare(CLONE_NEWNS) != 0) {
+    if (::unshare(CLONE_NEWUSER | CLONE_NEWNS) != 0) return false;
+    std::ofstream("/proc/self/uid_map") << user;
+    std::ofstream("/proc/self/setgroups") << "deny";
+    std::ofstream("/proc/self/gid_map") << group;
+  }
+  return ::mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr) == 0 &&
+         ::mount("tmpfs", folder.c_str(), "tmpfs", 0, "size=64k") == 0;
+}
+
+/// Runs `test` in a child process with a disk of 64 KiB at `folder`. Returns what `test` returns,
+/// or kNoDisk if this machine lets nobody mount one.
+int on_small_disk(const std::filesystem::path& folder, const std::function<int()>& test) {
+  const pid_t child = ::fork();
+  if (child == 0) ::_exit(mount_small_disk(folder) ? test() : kNoDisk);
+  int status = 0;
+  EXPECT_EQ(::waitpid(child, &status, 0), child);
+  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+}
+
+TEST(Files, FullDiskIsAResourceErrorAndKeepsTheOldFile) {
+  testing::TemporaryFolder folder;
+  const auto path = folder / "file.txt";
+  const auto test = [&] {
+    write_file_atomic(path, "old");
+    try {
+      write_file_atomic(path, std::string(100 << 10, 'x'));
+      return 1;
+    } catch (const ResourceError& error) {
+      if (std::string(error.what()).find("No space left") == std::string::npos) return 2;
+    }
+    if (read_file(path) != "old") return 3;
+    const std::filesystem::directory_iterator files(folder.path());
+    return std::distance(files, {}) == 1 ? 0 : 4;
+  };
+  const int result = on_small_disk(folder.path(), test);
+  if (result == kNoDisk) GTEST_SKIP() << "this machine lets nobody mount a small disk";
+  EXPECT_EQ(result, 0) << "1: no error, 2: another message, 3: the old file is lost, 4: more files";
+}
+
+TEST(Files, PlaceThatIsNoFolderIsAResourceError) {
+  EXPECT_THROW(write_file_atomic("/dev/null/x", "x"), ResourceError);
 }
 
 TEST(Files, MissingFileNamesThePath) {
@@ -102,11 +154,13 @@ TEST(Process, OutputAndExitCode) {
 }
 
 TEST(Process, TimeLimitEndsIt) {
-  const ProcessResult result = run_process({"sleep", "30"}, 0.2);
+  const double start = now_seconds();
+  const ProcessResult result = run_process({"sleep", "60"}, 0.2);
   EXPECT_TRUE(result.timed_out);
+  EXPECT_LT(now_seconds() - start, 20);
 }
 
-/// Whether a process runs: it is there, and no zombie.
+/// Whether a process exists and is not a zombie.
 bool runs(const std::string& pid) {
   std::ifstream stat("/proc/" + pid + "/stat");
   std::string text;

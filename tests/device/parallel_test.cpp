@@ -13,7 +13,7 @@ namespace {
 TEST(ForEachIndex, RunsOnAsManyThreadsAsAskedFor) {
   const int before = at::get_num_threads();
   at::set_num_threads(2);
-  std::atomic<int> seen = 0;  // a bit a thread
+  std::atomic<int> seen = 0;  // one bit per thread
   std::atomic<int64_t> items = 0;
   for_each_index(int64_t{1} << 16, [&](int64_t) {
     seen |= 1 << at::get_thread_num();
@@ -41,7 +41,8 @@ TEST(ForEachTask, AThreadThatWaitsLeavesTheRestToTheOther) {
   const int before = at::get_num_threads();
   at::set_num_threads(2);
   std::atomic<int> done = 0;
-  // A fixed split would give the first task's thread half of them, and it would wait for ever.
+  // A fixed split would give half of the tasks to the first task's thread, which would then wait
+  // for ever.
   for_each_task(8, [&](int64_t task) {
     while (task == 0 && done < 7) std::this_thread::yield();
     ++done;

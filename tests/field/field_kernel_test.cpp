@@ -6,8 +6,9 @@
 #include "support/gradient_check.h"
 #include "support/shapes.h"
 #include "tt3d/field.h"
+#include "tt3d/optimize.h"
 
-namespace tt3d {
+namespace tt3d::field {
 namespace {
 
 using at::Tensor;
@@ -15,7 +16,7 @@ using testing::gradient_error;
 using testing::reference_encode;
 using testing::uniform;
 
-/// Small enough that dense and hashed levels both occur.
+/// Small enough to have both dense and hashed levels.
 HashGridShape small_shape(int64_t features) { return {4, 4, 40, 9, features}; }
 
 TEST(HashEncode, EqualsTheTensorReference) {
@@ -197,10 +198,10 @@ TEST(FieldKernels, SameBytesWithOneAndTwoThreads) {
 TEST(Adam, FirstStepMovesByTheRateAndUntouchedEntriesStay) {
   const Tensor p = at::tensor({1.F, 1.F}), g = at::tensor({0.5F, 0.F});
   const Tensor m = at::zeros({2}), v = at::zeros({2});
-  Adam{}.step(p, g, m, v, 0.1, 1);
+  optimize::Adam{}.step(p, g, m, v, 0.1, 1);
   EXPECT_NEAR(p[0].item<float>(), 0.9F, 1e-5);
   EXPECT_EQ(p[1].item<float>(), 1.F);
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::field

@@ -6,7 +6,7 @@ namespace tt3d::testing {
 
 using at::Tensor;
 
-Tensor reference_encode(const Tensor& x, const Tensor& table, const HashGridShape& shape) {
+Tensor reference_encode(const Tensor& x, const Tensor& table, const field::HashGridShape& shape) {
   std::vector<Tensor> rows;
   int64_t offset = 0;
   for (int64_t l = 0; l < shape.levels; ++l) {

@@ -1,4 +1,4 @@
-// The networks in half precision: the bodies that run on tensor cores, here on the CPU's team.
+// The MLPs in half precision: the bodies for tensor cores, run here by the CPU's team.
 
 #include <ATen/ATen.h>
 #include <ATen/Parallel.h>
@@ -7,7 +7,7 @@
 #include "support/shapes.h"
 #include "tt3d/field.h"
 
-namespace tt3d {
+namespace tt3d::field {
 namespace {
 
 using at::Tensor;
@@ -60,7 +60,7 @@ Answer reference(const Tensor& x, const std::vector<Tensor>& weights, const Tens
   return answer;
 }
 
-/// In length: a single point may lie on a rectifier's edge, where its gradient jumps.
+/// Compares lengths: a single point may lie at the kink of a ReLU, where its gradient jumps.
 double relative(const Tensor& have, const Tensor& want) {
   EXPECT_EQ(have.sizes(), want.sizes());
   return ((have - want).to(at::kDouble).norm() / want.to(at::kDouble).norm()).item<double>();
@@ -76,14 +76,14 @@ void expect_close(const Answer& have, const Answer& want, double tolerance) {
 }
 
 TEST(HalfMlp, EqualsTheTensorReference) {
-  // The field's three networks, and widths and counts that fill no tile or several teams.
+  // The field's three MLPs, and widths and counts that do not fill a tile or need several teams.
   for (const auto& widths : std::vector<std::vector<int64_t>>{
            {35, 64, 64, 6}, {19, 32, 1}, {6, 32, 3}, {1, 1}, {7, 19, 13, 33, 3}}) {
     for (const int64_t count : {1, 63, 64, 65, 1000, 64 * 512 + 7}) {
       const auto weights = network(widths);
       const Tensor x = testing::uniform({widths[0], count}, -1, 1, 9).to(at::kFloat);
       const Tensor grad = testing::uniform({widths.back(), count}, -1, 1, 10).to(at::kFloat);
-      // Sums in another order may round an activation the other way.
+      // Sums in another order may round an activation to the other neighbour.
       expect_close(answer_of(half_mlp, x, weights, grad), reference(x, weights, grad), 2e-3);
     }
   }
@@ -93,7 +93,7 @@ TEST(HalfMlp, FollowsTheNetworkInFloat32) {
   const auto weights = network({35, 64, 64, 6});
   const Tensor x = testing::uniform({35, 3000}, -1, 1, 9).to(at::kFloat);
   const Tensor unit = testing::uniform({6, 3000}, -1, 1, 10).to(at::kFloat);
-  // Gradients far below float16's smallest number and far above its largest come through, too.
+  // Gradients far below float16's smallest number and far above its largest survive too.
   for (const double size : {1e-20, 1e-9, 1.0, 1e9}) {
     const Tensor grad = unit * size;
     expect_close(answer_of(half_mlp, x, weights, grad), answer_of(mlp, x, weights, grad), 2e-2);
@@ -107,7 +107,7 @@ TEST(HalfMlp, StaysFiniteBeyondTheRange) {
   const Answer a = answer_of(half_mlp, x, weights, at::ones({3, 100}));
   EXPECT_TRUE(a.y.isfinite().all().item<bool>());
   EXPECT_TRUE(a.grad_weights[0].isfinite().all().item<bool>());
-  // What is not a number is told, not hidden.
+  // NaN in the weights gives NaN in the result.
   weights[0][0][0] = std::numeric_limits<float>::quiet_NaN();
   EXPECT_TRUE(half_mlp(x, weights).isnan().any().item<bool>());
 }
@@ -148,4 +148,4 @@ TEST(HalfMlp, RefusesWhatDoesNotFit) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::field

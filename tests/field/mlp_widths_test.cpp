@@ -1,5 +1,4 @@
-// The networks' bodies for processors with narrower vectors than this one: whichever the machine
-// chooses at load time, the others are checked here.
+// The MLP bodies for every vector width: the machine picks one at load time, this test checks all.
 
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
@@ -12,7 +11,7 @@ namespace {
 
 using at::Tensor;
 
-constexpr int64_t kCount = 300;  // two whole blocks and a part
+constexpr int64_t kCount = 300;  // two whole blocks and a partial one
 
 struct Answer {
   Tensor y, grad_x;

@@ -1,5 +1,5 @@
-// Any bytes as an asset: a mesh that passes its checks, or InputError. The first byte chooses: 'g'
-// GLB, anything else OBJ.
+// Any bytes as an asset: a mesh that passes its checks, or InputError. The first byte selects the
+// format: 'g' is GLB, anything else OBJ.
 
 #include "asset_source.h"
 #include "memory_file.h"
@@ -7,9 +7,10 @@
 namespace {
 
 void read_asset(const std::filesystem::path& path, bool glb) {
-  const tt3d::AssetSource source = glb ? tt3d::read_glb(path) : tt3d::read_obj(path);
-  const tt3d::TexturedMesh mesh = tt3d::merge_materials(source);
-  tt3d::check_mesh(mesh, path);
+  const tt3d::asset::AssetSource source =
+      glb ? tt3d::asset::read_glb(path) : tt3d::asset::read_obj(path);
+  const tt3d::asset::TexturedMesh mesh = tt3d::asset::merge_materials(source);
+  tt3d::asset::check_mesh(mesh, path);
 }
 
 }  // namespace

@@ -1,4 +1,5 @@
-// Any bytes as a card: it is read within its documented ranges, or refused with InputError.
+// Any bytes as a card: the values are within the documented ranges, or it is rejected with
+// InputError.
 
 #include "card.h"
 #include "memory_file.h"
@@ -11,7 +12,7 @@ void require(bool holds) {
 }
 
 void check(const tt3d::model::CardFile& file) {
-  const tt3d::ModelCard& card = file.card;
+  const tt3d::model::ModelCard& card = file.card;
   require(card.height >= 1 && card.width >= 1 && card.resize >= card.height);
   require(card.mean.size() == 3 && card.std.size() == 3 && !card.labels.empty());
   require(card.sha256.size() == 64);

@@ -1,6 +1,6 @@
-// Any JSON as the graph and the tables of weights: a checked graph, or Malformed. The archive
-// around them is a good one, so that the fuzzer spends its time on what is inside. An input is up
-// to three texts with a line of '=' between them: graph, table of weights, table of constants.
+// Any JSON as the graph and the tables of weights gives a checked graph, or Malformed. The archive
+// around them is valid, so that the fuzzer spends its time on the content. An input is up to three
+// texts, separated by a line of '=': graph, table of weights, table of constants.
 
 #include <zip.h>
 
@@ -40,7 +40,7 @@ std::array<std::string_view, 3> split(std::string_view text) {
   return parts;
 }
 
-/// A zip archive of these texts and ten files of weights, as bytes.
+/// A zip archive of these texts and ten files of weights.
 std::string pack(const std::array<std::string_view, 3>& texts) {
   static const std::string weights(kWeightBytes, '\1');
   zip_error_t error;
@@ -64,7 +64,7 @@ std::string pack(const std::array<std::string_view, 3>& texts) {
   return bytes;
 }
 
-/// What load does with a graph before it runs.
+/// The preparation of a graph in Classifier::load.
 void prepare(Graph graph) {
   tt3d::model::fold_paddings(graph);
   if (tt3d::model::can_use_channels_last(graph)) tt3d::model::use_channels_last(graph);
@@ -79,7 +79,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   const std::string bytes = pack(split({reinterpret_cast<const char*>(data), size}));
   const tt3d::testing::MemoryFile file(reinterpret_cast<const uint8_t*>(bytes.data()),
                                        bytes.size());
-  tt3d::ModelLimits limits;
+  tt3d::model::ModelLimits limits;
   limits.archive_bytes = limits.tensor_bytes = 1 << 22;
   limits.nodes = 1000;
   try {
@@ -88,7 +88,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   } catch (const Malformed&) {
     return 0;
   } catch (const c10::Error&) {
-    return 0;  // Classifier::load turns it into an InputError, too
+    return 0;  // Classifier::load turns it into an InputError too
   }
   return 0;
 }

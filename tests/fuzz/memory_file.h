@@ -10,7 +10,7 @@
 
 namespace tt3d::testing {
 
-/// Bytes under a path, without touching a disk.
+/// Bytes with a path, in memory instead of on a disk.
 class MemoryFile {
  public:
   MemoryFile(const uint8_t* data, size_t size) : descriptor_(::memfd_create("fuzz", 0)) {

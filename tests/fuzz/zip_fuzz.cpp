@@ -1,4 +1,4 @@
-// Any bytes as an archive: every entry is read, or refused with Malformed.
+// Any bytes as an archive: every entry is read, or rejected with Malformed.
 
 #include <string>
 
@@ -12,8 +12,8 @@ using tt3d::model::MappedFile;
 
 namespace {
 
-tt3d::ModelLimits small_limits() {
-  tt3d::ModelLimits limits;
+tt3d::model::ModelLimits small_limits() {
+  tt3d::model::ModelLimits limits;
   limits.archive_bytes = 1 << 20;
   limits.nodes = 1000;
   return limits;
@@ -23,7 +23,7 @@ void read_entry(const Archive& archive, const std::string& name) {
   if (!archive.has(name)) return;
   const auto mapped = archive.mapped(name);
   const std::string copy = archive.text(name);
-  // Both ways of reading an entry give the same bytes.
+  // Both ways to read an entry must give the same bytes.
   if (mapped && *mapped != copy) __builtin_trap();
 }
 
@@ -38,7 +38,7 @@ void read_all(const Archive& archive) {
 
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   const tt3d::testing::MemoryFile file(data, size);
-  const tt3d::ModelLimits limits = small_limits();
+  const tt3d::model::ModelLimits limits = small_limits();
   try {
     read_all(Archive(MappedFile::open(file.path(), limits.archive_bytes), limits));
   } catch (const Malformed&) {

@@ -25,7 +25,7 @@ TEST_F(AttackOnGpu, TransformsAndTheirGradients) {
     testing::expect_same(
         "transform_images", gpu,
         [&](const std::vector<Tensor>& in) {
-          return transform_images(in[0], 32, EotOptions{}, 1, step);
+          return attack::transform_images(in[0], 32, attack::EotOptions{}, 1, step);
         },
         {testing::uniform({3, 4, 48, 48}, 0, 1, 5).to(at::kFloat)}, 1e-3);
   }
@@ -37,12 +37,13 @@ TEST_F(AttackOnGpu, RenderingsOverWhiteAndOverBackgroundsAndTheirGradients) {
   const auto part = [](const Tensor& wide) { return wide.narrow(3, 4, 4).permute({0, 3, 1, 2}); };
   const Tensor wide = testing::uniform({2, 9, 70, 8}, 0, 1, 3).to(at::kFloat);
   testing::expect_same(
-      "over_white", gpu, [&](const auto& in) { return over_white(part(in[0])); }, {wide}, 1e-6);
+      "over_white", gpu, [&](const auto& in) { return attack::over_white(part(in[0])); }, {wide},
+      1e-6);
   testing::expect_same(
       "place_over", gpu,
       [&](const auto& in) {
         const at::Device device = in[0].device();
-        return place_over(part(in[0]), maps.to(device), background.to(device), 75);
+        return attack::place_over(part(in[0]), maps.to(device), background.to(device), 75);
       },
       {wide}, 1e-4);
 }
@@ -55,9 +56,9 @@ Tensor picture_gradient(const Tensor& logits, const Tensor& pictures) {
 
 TEST_F(AttackOnGpu, ClassifiersPlayedAsCudaGraphsGiveTheSame) {
   for (const char* name : {"toy_cnn", "toy_vit", "toy_norm"}) {
-    const auto model =
-        Classifier::load(std::string(TT3D_SOURCE_DIR "/tests/model/fixtures/") + name + ".pt2");
-    // Two batches at once, of two sizes, and again: recorded and played.
+    const auto model = model::Classifier::load(
+        std::string(TT3D_SOURCE_DIR "/tests/model/fixtures/") + name + ".pt2");
+    // Two batch sizes, each twice: first recorded, then replayed.
     for (int round = 0; round < 2; ++round) {
       for (const int64_t count : {4, 6}) {
         std::vector<Tensor> batches, expected;
@@ -85,41 +86,42 @@ TEST_F(AttackOnGpu, ClassifiersPlayedAsCudaGraphsGiveTheSame) {
 TEST_F(AttackOnGpu, OutOfMemoryHalvesTheViewsAndTheWorkGoesOn) {
   using c10::cuda::CUDACachingAllocator::emptyCache;
   using c10::cuda::CUDACachingAllocator::setMemoryFraction;
-  AttackOptions o = testing::toy_options();
-  o.steps = 4;
-  o.views_per_step = 256;
-  o.image_size = 512;
-  const AttackInput input = testing::ball_input(2, gpu);
+  attack::AttackOptions o = testing::toy_options();
+  o.schedule.steps = 4;
+  o.schedule.views_per_step = 256;
+  o.schedule.image_size = 512;
+  const attack::AttackInput input = testing::ball_input(2, gpu);
   emptyCache();
   size_t free = 0, total = 0;
   ASSERT_EQ(cudaMemGetInfo(&free, &total), cudaSuccess);
-  constexpr double kAllowed = 3e9;  // 256 views take several times that
+  constexpr double kAllowed = 3e9;  // 256 views need several times as much
   setMemoryFraction(kAllowed / static_cast<double>(total), gpu.index());
   testing::CountNotes notes;
   testing::TemporaryFolder folder;
-  const AttackResult r = run_attack(input, o, 1, folder / "c", notes);
+  const attack::AttackResult r = attack::run_attack(input, o, 1, folder / "c", notes);
   setMemoryFraction(1.0, gpu.index());
   EXPECT_GE(notes.count, 1);
   EXPECT_EQ(r.curves.size(), 4U);
 }
 
 TEST_F(AttackOnGpu, ReachesTheTargetAndGoesOnAfterAStop) {
-  for (const AttackPreset& preset : attack_presets()) {
+  for (const attack::AttackPreset& preset : attack::attack_presets()) {
     testing::TemporaryFolder folder;
-    const AttackOptions o = testing::toy_options(preset);
-    if (!testing::frees_colors(o)) continue;  // shape or a patch is not enough
+    const attack::AttackOptions o = testing::toy_options(preset);
+    if (!testing::frees_colors(o)) continue;  // shape or a patch alone does not suffice
     testing::StopAfter stop(15);
-    EXPECT_THROW((void)run_attack(testing::ball_input(2, gpu), o, 1, folder / "c", stop),
+    EXPECT_THROW((void)attack::run_attack(testing::ball_input(2, gpu), o, 1, folder / "c", stop),
                  Interrupted);
     Progress quiet;
-    const AttackResult r = run_attack(testing::ball_input(2, gpu), o, 1, folder / "c", quiet);
-    EXPECT_EQ(r.mesh.vertices.device(), gpu);
+    const attack::AttackResult r =
+        attack::run_attack(testing::ball_input(2, gpu), o, 1, folder / "c", quiet);
+    EXPECT_EQ(r.object.mesh.vertices.device(), gpu);
     double success = 0;
     for (size_t i = r.curves.size() - 10; i < r.curves.size(); ++i) success += r.curves[i].success;
     EXPECT_GE(success, 9.0) << preset.name;
-    save_attack(r, folder / "r.safetensors");
-    EXPECT_TRUE(
-        at::equal(load_attack(folder / "r.safetensors").mesh.vertices, r.mesh.vertices.cpu()));
+    attack::save_attack(r, folder / "r.safetensors");
+    EXPECT_TRUE(at::equal(object::load_object(folder / "r.safetensors").mesh.vertices,
+                          r.object.mesh.vertices.cpu()));
   }
 }
 

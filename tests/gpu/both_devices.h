@@ -12,7 +12,7 @@
 
 namespace tt3d::testing {
 
-/// A test that needs a GPU, and says so where there is none.
+/// A test that needs a GPU; without one it is skipped with a message.
 class OnGpu : public ::testing::Test {
  protected:
   void SetUp() override {
@@ -25,7 +25,8 @@ class OnGpu : public ::testing::Test {
   at::Device gpu = at::kCPU;
 };
 
-/// Largest difference relative to the largest expected value; what is not finite must be the same.
+/// Largest difference relative to the largest expected value; non-finite values must be at the same
+/// positions.
 inline double relative_difference(const at::Tensor& expected, const at::Tensor& actual) {
   const at::Tensor a = expected.detach().cpu().to(at::kDouble);
   const at::Tensor b = actual.detach().cpu().to(at::kDouble);
@@ -39,8 +40,8 @@ inline double relative_difference(const at::Tensor& expected, const at::Tensor& 
   return worst / (scale + 1e-30);
 }
 
-/// Length of the difference relative to the expected values' length: for results of which single
-/// ones may differ, as a rectifier that rounding turns the other way.
+/// Length of the difference relative to the length of the expected values. For results where single
+/// values may differ, e.g. if rounding moves a ReLU across its kink.
 inline double relative_length(const at::Tensor& expected, const at::Tensor& actual) {
   const at::Tensor a = expected.detach().cpu().to(at::kDouble);
   const at::Tensor b = actual.detach().cpu().to(at::kDouble);
@@ -48,8 +49,8 @@ inline double relative_length(const at::Tensor& expected, const at::Tensor& actu
   return (a - b).norm().item<double>() / (a.norm().item<double>() + 1e-30);
 }
 
-/// What a function of tensors gives on one device: its value and, for a fixed weighting of it, the
-/// gradients with respect to the inputs that are floating point.
+/// Results of a function of tensors on one device: its value, and the gradients of a fixed weighted
+/// sum of it with respect to the floating-point inputs.
 struct Outcome {
   at::Tensor value;
   std::vector<at::Tensor> gradients;
@@ -73,7 +74,7 @@ inline Outcome outcome_on(const at::Device& device, const TensorFunction& functi
   return result;
 }
 
-/// Expects the same value and gradients on the CPU and on `gpu`, up to `tolerance` in `distance`.
+/// Expects equal values and gradients on the CPU and on `gpu`, up to `tolerance` in `distance`.
 inline void expect_same(const std::string& name, const at::Device& gpu,
                         const TensorFunction& function, const std::vector<at::Tensor>& inputs,
                         double tolerance,

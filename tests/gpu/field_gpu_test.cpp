@@ -7,9 +7,12 @@
 #include "support/stop_after.h"
 #include "support/synthetic_capture.h"
 #include "support/temporary_folder.h"
+#include "tt3d/capture.h"
 #include "tt3d/field.h"
 #include "tt3d/gpu_options.h"
+#include "tt3d/optimize.h"
 #include "tt3d/random_tensor.h"
+#include "tt3d/scene.h"
 
 namespace tt3d {
 namespace {
@@ -21,10 +24,10 @@ using testing::uniform;
 
 struct FieldOnGpu : testing::OnGpu {};
 
-HashGridShape small_shape(int64_t features) { return {4, 4, 40, 9, features}; }
+field::HashGridShape small_shape(int64_t features) { return {4, 4, 40, 9, features}; }
 
-FieldOptions small_options(at::Device device) {
-  FieldOptions o;
+field::FieldOptions small_options(at::Device device) {
+  field::FieldOptions o;
   o.shape.geometry = {6, 8, 64, 12, 1};
   o.shape.appearance = {6, 8, 64, 12, 2};
   o.shape.occupancy = 32;
@@ -47,22 +50,22 @@ TEST_F(FieldOnGpu, RandomTensorsHaveTheSameBytes) {
 
 TEST_F(FieldOnGpu, HashEncodeAndItsGradients) {
   for (const int64_t features : {1, 2}) {
-    const HashGridShape shape = small_shape(features);
+    const field::HashGridShape shape = small_shape(features);
     Tensor x = uniform({5000, 3}, -1, 1, 1);
     x[0].fill_(1);
     x[1].fill_(-1);
     x[2].fill_(1.5);
     const Tensor table = uniform({shape.entries(), features}, -1, 1, 2);
-    const auto encode = [&](const auto& in) { return hash_encode(in[0], in[1], shape); };
+    const auto encode = [&](const auto& in) { return field::hash_encode(in[0], in[1], shape); };
     expect_same("double", gpu, encode, {x, table}, 1e-11);
     expect_same("float", gpu, encode, {x.to(at::kFloat), table.to(at::kFloat)}, 1e-4);
   }
 }
 
 TEST_F(FieldOnGpu, HashEncodeOfTheOfficialShapeAndOfNoPoints) {
-  const HashGridShape shape;
+  const field::HashGridShape shape;
   const Tensor table = uniform({shape.entries(), 2}, -1, 1, 2).to(at::kFloat);
-  const auto encode = [&](const auto& in) { return hash_encode(in[0], in[1], shape); };
+  const auto encode = [&](const auto& in) { return field::hash_encode(in[0], in[1], shape); };
   expect_same("official", gpu, encode, {uniform({100000, 3}, -1, 1, 1).to(at::kFloat), table},
               1e-4);
   expect_same("empty", gpu, encode, {at::empty({0, 3}), table}, 0);
@@ -70,7 +73,7 @@ TEST_F(FieldOnGpu, HashEncodeOfTheOfficialShapeAndOfNoPoints) {
 
 TEST_F(FieldOnGpu, MlpAndItsGradients) {
   for (const int64_t count : {0, 1, 127, 9000}) {
-    const auto network = [](const auto& in) { return mlp(in[0], {in[1], in[2], in[3]}); };
+    const auto network = [](const auto& in) { return field::mlp(in[0], {in[1], in[2], in[3]}); };
     const std::vector<Tensor> inputs = {uniform({7, count}, -1, 1, 9), uniform({19, 7}, -1, 1, 6),
                                         uniform({13, 19}, -1, 1, 7), uniform({3, 13}, -1, 1, 8)};
     expect_same("double", gpu, network, inputs, 1e-10);
@@ -78,7 +81,7 @@ TEST_F(FieldOnGpu, MlpAndItsGradients) {
 }
 
 TEST_F(FieldOnGpu, HalfMlpRoundsAsOnTheCpu) {
-  // The field's three networks, one of as many layers as fit, and one of a single number.
+  // The field's three MLPs, one with the maximum number of layers, and one with a single unit.
   for (const auto& widths : std::vector<std::vector<int64_t>>{
            {35, 64, 64, 6}, {19, 32, 1}, {6, 32, 3}, {7, 19, 13, 33, 3}, {1, 1}}) {
     for (const int64_t count : {1, 15, 129, 1000, 70000}) {
@@ -88,24 +91,25 @@ TEST_F(FieldOnGpu, HalfMlpRoundsAsOnTheCpu) {
         inputs.push_back(uniform({widths[k + 1], widths[k]}, -bound, bound, 6 + k).to(at::kFloat));
       }
       const auto network = [](const auto& in) {
-        return half_mlp(in[0], std::vector<Tensor>(in.begin() + 1, in.end()));
+        return field::half_mlp(in[0], std::vector<Tensor>(in.begin() + 1, in.end()));
       };
-      // Sums in another order may round an activation the other way, to 0 and back.
+      // Sums in another order may round an activation differently, e.g. to 0 or not.
       expect_same("half_mlp", gpu, network, inputs, 2e-3, testing::relative_length);
     }
   }
 }
 
 TEST_F(FieldOnGpu, HalfMlpsFitABallAsWell) {
-  const Capture capture = testing::ball_capture(24, 40);
-  FieldOptions o = small_options(gpu);
+  const capture::Capture capture = testing::ball_capture(24, 40);
+  field::FieldOptions o = small_options(gpu);
   o.steps = 250;
   Progress quiet;
   testing::TemporaryFolder folder;
   use_gpu_options({.half_mlp = true});
-  const RadianceField f = fit_field(capture, o, 1, folder / "c.safetensors", quiet);
-  const double psnr = mean_psnr(
-      capture.test, [&](const Camera& c) { return render_field(f, c, ray_step(o)); }, quiet);
+  const field::RadianceField f = field::fit_field(capture, o, 1, folder / "c.safetensors", quiet);
+  const double psnr = capture::mean_psnr(
+      capture.test,
+      [&](const scene::Camera& c) { return field::render_field(f, c, field::ray_step(o)); }, quiet);
   use_gpu_options({});
   EXPECT_GT(psnr, 24);
 }
@@ -119,7 +123,8 @@ TEST_F(FieldOnGpu, CompositeAndItsGradients) {
     expect_same(
         "composite", gpu,
         [&](const auto& in) {
-          return composite(in[0], in[1], steps.to(in[0].options()), begin.to(in[0].device()));
+          return field::composite(in[0], in[1], steps.to(in[0].options()),
+                                  begin.to(in[0].device()));
         },
         {densities.to(dtype), colors.to(dtype)}, tolerance);
   }
@@ -132,32 +137,33 @@ TEST_F(FieldOnGpu, MarchedAndVisibleSamplesAreTheSame) {
   directions[0] = at::tensor({0.F, 0.F, 1.F});
   directions = directions / directions.norm(2, {1}, true);
   const Tensor jitter = uniform({3000}, 0, 1, 44).to(at::kFloat);
-  const RaySamples a = march_rays(origins, directions, occupied, jitter, 0.02, 0.05);
-  const RaySamples b =
-      march_rays(origins.to(gpu), directions.to(gpu), occupied.to(gpu), jitter.to(gpu), 0.02, 0.05);
+  const field::RaySamples a = field::march_rays(origins, directions, occupied, jitter, 0.02, 0.05);
+  const field::RaySamples b = field::march_rays(origins.to(gpu), directions.to(gpu),
+                                                occupied.to(gpu), jitter.to(gpu), 0.02, 0.05);
   EXPECT_TRUE(at::equal(a.ray_begin, b.ray_begin.cpu()));
   EXPECT_TRUE(at::equal(a.points, b.points.cpu()));
   const Tensor densities = uniform({a.points.size(0)}, 0, 30, 45).to(at::kFloat);
-  const auto [kept_a, begin_a] = visible_samples(densities, a.steps, a.ray_begin, 1e-3);
-  const auto [kept_b, begin_b] = visible_samples(densities.to(gpu), b.steps, b.ray_begin, 1e-3);
+  const auto [kept_a, begin_a] = field::visible_samples(densities, a.steps, a.ray_begin, 1e-3);
+  const auto [kept_b, begin_b] =
+      field::visible_samples(densities.to(gpu), b.steps, b.ray_begin, 1e-3);
   EXPECT_TRUE(at::equal(kept_a, kept_b.cpu()));
   EXPECT_TRUE(at::equal(begin_a, begin_b.cpu()));
   const Tensor none = at::zeros({32, 32, 32}, at::kByte).to(gpu);
-  EXPECT_EQ(march_rays(b.points.new_zeros({4, 3}), directions.narrow(0, 0, 4).to(gpu), none,
-                       jitter.narrow(0, 0, 4).to(gpu), 0.02, 0.05)
+  EXPECT_EQ(field::march_rays(b.points.new_zeros({4, 3}), directions.narrow(0, 0, 4).to(gpu), none,
+                              jitter.narrow(0, 0, 4).to(gpu), 0.02, 0.05)
                 .points.size(0),
             0);
 }
 
 TEST_F(FieldOnGpu, RaysOfCapturesAreTheSame) {
-  const Capture capture = testing::ball_capture(8, 24);
+  const capture::Capture capture = testing::ball_capture(8, 24);
   const auto a = field::make_pixel_pool(capture.train, 32, at::kCPU);
   const auto b = field::make_pixel_pool(capture.train, 32, gpu);
   const field::Rays x = field::random_rays(a, 5001, 1, 2), y = field::random_rays(b, 5001, 1, 2);
   EXPECT_TRUE(at::equal(x.origins, y.origins.cpu()));
   EXPECT_TRUE(at::equal(x.directions, y.directions.cpu()));
   EXPECT_TRUE(at::equal(x.targets, y.targets.cpu()));
-  const Camera& camera = capture.train[0].camera;
+  const scene::Camera& camera = capture.train[0].camera;
   EXPECT_TRUE(at::equal(field::row_rays(camera, 3, 9, at::kCPU).directions,
                         field::row_rays(camera, 3, 9, gpu).directions.cpu()));
 }
@@ -170,7 +176,7 @@ TEST_F(FieldOnGpu, AdamMovesTheSame) {
   for (const at::Device& device : {at::Device(at::kCPU), gpu}) {
     const Tensor p = start.to(device, at::kFloat, false, true);
     const Tensor m = at::zeros_like(p), v = at::zeros_like(p);
-    for (int64_t i = 1; i <= 5; ++i) Adam{}.step(p, gradient.to(device), m, v, 0.01, i);
+    for (int64_t i = 1; i <= 5; ++i) optimize::Adam{}.step(p, gradient.to(device), m, v, 0.01, i);
     results.push_back(p.cpu());
   }
   EXPECT_LE(relative_difference(results[0], results[1]), 1e-6);
@@ -178,11 +184,11 @@ TEST_F(FieldOnGpu, AdamMovesTheSame) {
 }
 
 TEST_F(FieldOnGpu, OccupancyIsTheSame) {
-  const Capture capture = testing::ball_capture(8, 24);
-  FieldShape shape = small_options(gpu).shape;
+  const capture::Capture capture = testing::ball_capture(8, 24);
+  field::FieldShape shape = small_options(gpu).shape;
   std::vector<Tensor> results;
   for (const at::Device& device : {at::Device(at::kCPU), gpu}) {
-    RadianceField f = RadianceField::create(shape, 3).to(device);
+    field::RadianceField f = field::RadianceField::create(shape, 3).to(device);
     field::OccupancyGrid grid;
     grid.hull = field::visual_hull(capture.train, shape.occupancy).to(device);
     grid.density = grid.hull.to(at::kFloat);
@@ -193,35 +199,38 @@ TEST_F(FieldOnGpu, OccupancyIsTheSame) {
 }
 
 TEST_F(FieldOnGpu, FitsABall) {
-  const Capture capture = testing::ball_capture(24, 40);
-  FieldOptions o = small_options(gpu);
+  const capture::Capture capture = testing::ball_capture(24, 40);
+  field::FieldOptions o = small_options(gpu);
   o.steps = 250;
   Progress quiet;
   testing::TemporaryFolder folder;
-  const RadianceField f = fit_field(capture, o, 1, folder / "c.safetensors", quiet);
+  const field::RadianceField f = field::fit_field(capture, o, 1, folder / "c.safetensors", quiet);
   EXPECT_EQ(f.device(), gpu);
-  const double psnr = mean_psnr(
-      capture.test, [&](const Camera& c) { return render_field(f, c, ray_step(o)); }, quiet);
+  const double psnr = capture::mean_psnr(
+      capture.test,
+      [&](const scene::Camera& c) { return field::render_field(f, c, field::ray_step(o)); }, quiet);
   EXPECT_GT(psnr, 24);
-  // The same field seen from the CPU.
-  const RadianceField on_cpu = f.to(at::kCPU);
-  const Camera& camera = capture.test[0].camera;
-  EXPECT_LE(relative_difference(render_field(on_cpu, camera, ray_step(o)),
-                                render_field(f, camera, ray_step(o))),
+  // The same field, rendered on the CPU.
+  const field::RadianceField on_cpu = f.to(at::kCPU);
+  const scene::Camera& camera = capture.test[0].camera;
+  EXPECT_LE(relative_difference(field::render_field(on_cpu, camera, field::ray_step(o)),
+                                field::render_field(f, camera, field::ray_step(o))),
             2e-2);
 }
 
 TEST_F(FieldOnGpu, AStoppedFitGoesOn) {
-  const Capture capture = testing::ball_capture(8, 24);
+  const capture::Capture capture = testing::ball_capture(8, 24);
   Progress quiet;
   testing::TemporaryFolder folder;
   testing::StopAfter stop(20);
-  EXPECT_THROW((void)fit_field(capture, small_options(gpu), 1, folder / "c", stop), Interrupted);
-  // A checkpoint of one device is one of the other.
-  testing::StopAfter again(20);
-  EXPECT_THROW((void)fit_field(capture, small_options(at::kCPU), 1, folder / "c", again),
+  EXPECT_THROW((void)field::fit_field(capture, small_options(gpu), 1, folder / "c", stop),
                Interrupted);
-  const RadianceField f = fit_field(capture, small_options(gpu), 1, folder / "c", quiet);
+  // Either device can load a checkpoint of the other.
+  testing::StopAfter again(20);
+  EXPECT_THROW((void)field::fit_field(capture, small_options(at::kCPU), 1, folder / "c", again),
+               Interrupted);
+  const field::RadianceField f =
+      field::fit_field(capture, small_options(gpu), 1, folder / "c", quiet);
   for (const Tensor& p : f.parameters()) EXPECT_TRUE(p.isfinite().all().item<bool>());
 }
 

@@ -15,7 +15,7 @@ using testing::uniform;
 
 struct RasterOnGpu : testing::OnGpu {};
 
-/// A picture to draw, float64.
+/// A scene for the rasterizer, float64.
 struct Scene {
   std::string name;
   Tensor clip;   ///< [N,V,4]
@@ -44,7 +44,7 @@ Scene random_triangles(const std::string& name, int64_t triangles, double w_low,
           width};
 }
 
-/// A square of shared edges whose diagonals and corners lie on pixel centres.
+/// A square of triangles with shared edges; their diagonals and corners lie on pixel centres.
 Scene shared_edges() {
   std::vector<double> points;
   std::vector<int32_t> faces;
@@ -61,7 +61,7 @@ Scene shared_edges() {
           at::tensor(faces, at::kInt).view({-1, 3}), 16, 16};
 }
 
-/// Equal depths, zero area, repeated vertices, values that are not finite.
+/// Equal depths, zero area, repeated vertices, non-finite values.
 Scene degenerate() {
   Tensor clip = uniform({1, 12, 4}, -1, 1, 23);
   clip.select(2, 3).fill_(1);
@@ -97,7 +97,7 @@ std::vector<Scene> scenes() {
 }
 
 Tensor shown(const Scene& s, const Tensor& clip) {
-  return rasterize(clip, s.faces.to(clip.device()), s.height, s.width);
+  return raster::rasterize(clip, s.faces.to(clip.device()), s.height, s.width);
 }
 
 TEST_F(RasterOnGpu, RasterizeShowsTheSameBytes) {
@@ -122,7 +122,7 @@ TEST_F(RasterOnGpu, RasterizeGivesTheSameBytesEachTime) {
   for (int i = 0; i < 5; ++i) EXPECT_TRUE(at::equal(first, shown(s, clip)));
 }
 
-/// Scenes without values that are not finite, which gradients would spread.
+/// Scenes without non-finite values, which gradients would propagate.
 std::vector<Scene> finite_scenes() {
   std::vector<Scene> finite;
   for (Scene& s : scenes()) {
@@ -150,7 +150,9 @@ TEST_F(RasterOnGpu, InterpolateAndItsGradients) {
          {std::pair{at::kDouble, 1e-11}, std::pair{at::kFloat, 1e-4}}) {
       expect_same(
           s.name, gpu,
-          [&](const auto& in) { return interpolate(in[0], in[1], s.faces.to(in[0].device())); },
+          [&](const auto& in) {
+            return raster::interpolate(in[0], in[1], s.faces.to(in[0].device()));
+          },
           {attributes.to(dtype), rast.to(dtype)}, tolerance);
     }
   }
@@ -160,7 +162,7 @@ TEST_F(RasterOnGpu, PaintedPixelsAndTheirGradients) {
   const Tensor pixels = at::randperm(5000, at::kLong).narrow(0, 0, 2000).contiguous();
   expect_same(
       "paint_pixels", gpu,
-      [&](const auto& in) { return paint_pixels(in[0], pixels.to(in[0].device()), 5000); },
+      [&](const auto& in) { return raster::paint_pixels(in[0], pixels.to(in[0].device()), 5000); },
       {uniform({6, 2000}, 0, 1, 38)}, 0);
 }
 
@@ -168,16 +170,16 @@ TEST_F(RasterOnGpu, AttributeDerivatives) {
   for (const Scene& s : finite_scenes()) {
     const Tensor attributes = uniform({s.clip.size(1), 2}, -1, 1, 32);
     const Tensor rast = shown(s, s.clip);
-    const Tensor a = attribute_derivatives(attributes, rast, s.clip, s.faces);
-    const Tensor b =
-        attribute_derivatives(attributes.to(gpu), rast.to(gpu), s.clip.to(gpu), s.faces.to(gpu));
+    const Tensor a = raster::attribute_derivatives(attributes, rast, s.clip, s.faces);
+    const Tensor b = raster::attribute_derivatives(attributes.to(gpu), rast.to(gpu), s.clip.to(gpu),
+                                                   s.faces.to(gpu));
     EXPECT_LE(testing::relative_difference(a, b), 1e-12) << s.name;
   }
 }
 
 TEST_F(RasterOnGpu, AntialiasAndItsGradients) {
   for (const Scene& s : finite_scenes()) {
-    const Tensor twins = edge_twins(s.faces);
+    const Tensor twins = raster::edge_twins(s.faces);
     const Tensor rast = shown(s, s.clip);
     const Tensor color = uniform({rast.size(0), s.height, s.width, 4}, 0, 1, 33);
     for (const auto& [dtype, tolerance] :
@@ -187,7 +189,8 @@ TEST_F(RasterOnGpu, AntialiasAndItsGradients) {
           s.name, gpu,
           [&](const auto& in) {
             const at::Device device = in[0].device();
-            return antialias(in[0], fixed.to(device), in[1], s.faces.to(device), twins.to(device));
+            return raster::antialias(in[0], fixed.to(device), in[1], s.faces.to(device),
+                                     twins.to(device));
           },
           {color.to(dtype), s.clip.to(dtype)}, tolerance);
     }
@@ -196,9 +199,9 @@ TEST_F(RasterOnGpu, AntialiasAndItsGradients) {
 
 TEST_F(RasterOnGpu, EdgeOppositesStayOnTheDevice) {
   const testing::Shape shape = testing::sphere(2);
-  const Tensor b = edge_twins(shape.faces.to(gpu));
+  const Tensor b = raster::edge_twins(shape.faces.to(gpu));
   EXPECT_EQ(b.device(), gpu);
-  EXPECT_TRUE(at::equal(edge_twins(shape.faces), b.cpu()));
+  EXPECT_TRUE(at::equal(raster::edge_twins(shape.faces), b.cpu()));
 }
 
 TEST_F(RasterOnGpu, TextureAndItsGradients) {
@@ -212,7 +215,7 @@ TEST_F(RasterOnGpu, TextureAndItsGradients) {
           mipmaps ? "mipmaps" : "one level", gpu,
           [&](const auto& in) {
             const Tensor d = mipmaps ? derivatives.to(in[1].options()) : Tensor();
-            return texture(in[0], in[1], d, rast.to(in[1].options()));
+            return raster::texture(in[0], in[1], d, rast.to(in[1].options()));
           },
           {uniform({64, 32, 3}, 0, 1, 37).to(dtype), uv.to(dtype)}, tolerance);
     }
@@ -221,7 +224,7 @@ TEST_F(RasterOnGpu, TextureAndItsGradients) {
 
 TEST_F(RasterOnGpu, TensorsOnTwoDevicesAreRefused) {
   const Scene s = shared_edges();
-  EXPECT_THROW((void)rasterize(s.clip.to(gpu), s.faces, 8, 8), c10::Error);
+  EXPECT_THROW((void)raster::rasterize(s.clip.to(gpu), s.faces, 8, 8), c10::Error);
 }
 
 }  // namespace

@@ -1,4 +1,6 @@
 #include "tt3d/mesh.h"
+#include "tt3d/scene.h"
+#include "tt3d/surface.h"
 
 #include <gtest/gtest.h>
 
@@ -9,7 +11,7 @@
 #include "support/shapes.h"
 #include "support/temporary_folder.h"
 
-namespace tt3d {
+namespace tt3d::mesh {
 namespace {
 
 using at::Tensor;
@@ -27,7 +29,7 @@ Tensor ball(int64_t size, double radius, double cx = 0) {
   return (radius - ((x - cx).square() + y.square() + z.square()).sqrt()).contiguous();
 }
 
-TriMesh as_mesh(const testing::Shape& s) { return {s.vertices, s.faces}; }
+scene::TriMesh as_mesh(const testing::Shape& s) { return {s.vertices, s.faces}; }
 
 TEST(ToClip, IsTheMatrixProductWithItsGradients) {
   const Tensor vertices = testing::uniform({17, 3}, -1, 1, 1),
@@ -38,20 +40,20 @@ TEST(ToClip, IsTheMatrixProductWithItsGradients) {
     return at::matmul(at::cat({points, ones}, 1), matrices.transpose(1, 2));
   };
   const auto sum = [&](const std::vector<Tensor>& in) {
-    return (to_clip(in[0], matrices) * weight).sum();
+    return (scene::to_clip(in[0], matrices) * weight).sum();
   };
-  EXPECT_TRUE(at::allclose(to_clip(vertices, matrices), reference(vertices)));
+  EXPECT_TRUE(at::allclose(scene::to_clip(vertices, matrices), reference(vertices)));
   EXPECT_LT(testing::gradient_error(sum, {vertices}), 1e-7);
   const Tensor ours = vertices.clone().requires_grad_(true);
   const Tensor plain = vertices.clone().requires_grad_(true);
   sum({ours}).backward();
   (reference(plain) * weight).sum().backward();
   EXPECT_TRUE(at::allclose(ours.grad(), plain.grad()));
-  EXPECT_THROW((void)to_clip(vertices, matrices.to(at::kFloat)), c10::Error);
+  EXPECT_THROW((void)scene::to_clip(vertices, matrices.to(at::kFloat)), c10::Error);
 }
 
 TEST(MarchingCubes, BallHasItsVolumeAndGenus) {
-  const TriMesh mesh = marching_cubes(ball(64, 0.7));
+  const scene::TriMesh mesh = marching_cubes(ball(64, 0.7));
   const MeshFacts facts = inspect(mesh);
   EXPECT_TRUE(facts.closed());
   EXPECT_EQ(facts.euler, 2);
@@ -70,7 +72,7 @@ TEST(MarchingCubes, TorusHasGenusOne) {
 }
 
 TEST(MarchingCubes, NoiseIsClosedAndManifold) {
-  // Every configuration of corners occurs, ambiguous ones included.
+  // All corner configurations occur, also the ambiguous ones.
   for (const uint64_t seed : {1, 2, 3}) {
     const Tensor values = testing::uniform({20, 20, 20}, -1, 1, seed).to(at::kFloat);
     const MeshFacts facts = inspect(marching_cubes(values));
@@ -100,10 +102,10 @@ TEST(FillCavities, HollowBallBecomesSolid) {
 }
 
 TEST(FillCavities, TunnelsGoWhereNoCubeOfTheRadiusFits) {
-  // A hollow ball with a square tunnel of three grid points a side from its top to its cavity.
+  // A hollow ball, with a square tunnel of three grid points per side from its top to its cavity.
   Tensor shell = at::minimum(ball(40, 0.8), -ball(40, 0.5)).contiguous();
   shell.narrow(0, 20, 20).narrow(1, 19, 3).narrow(2, 19, 3).fill_(-1);
-  EXPECT_EQ(inspect(marching_cubes(shell)).euler, 2);  // one bowl: the cavity is open
+  EXPECT_EQ(inspect(marching_cubes(shell)).euler, 2);  // one surface: the cavity is open
   const double bowl = inspect(marching_cubes(shell)).volume;
   Tensor kept = shell.clone();
   fill_cavities(kept, 1);
@@ -123,7 +125,7 @@ TEST(FillCavities, WhatACubeCanReachStays) {
 
 TEST(Components, SmallOnesGo) {
   const Tensor two = at::maximum(ball(64, 0.5, -0.4), ball(64, 0.06, 0.7)).contiguous();
-  const TriMesh mesh = marching_cubes(two);
+  const scene::TriMesh mesh = marching_cubes(two);
   EXPECT_EQ(inspect(mesh).components, 2);
   EXPECT_EQ(inspect(drop_small_components(mesh, 0.1)).components, 1);
   EXPECT_EQ(inspect(drop_small_components(mesh, 0.01)).components, 2);
@@ -132,14 +134,14 @@ TEST(Components, SmallOnesGo) {
 TEST(Repair, DuplicatesNullAndBackToBackFacesGo) {
   const testing::Shape s = testing::sphere(1);
   const Tensor extra = at::tensor({0, 0, 1, 0, 2, 4, 3, 1, 5, 1, 3, 5}, at::kInt).view({4, 3});
-  const TriMesh dirty = {s.vertices, at::cat({s.faces, s.faces.narrow(0, 0, 2), extra})};
+  const scene::TriMesh dirty = {s.vertices, at::cat({s.faces, s.faces.narrow(0, 0, 2), extra})};
   const MeshFacts facts = inspect(repair(dirty));
   EXPECT_EQ(facts.faces, s.faces.size(0) + 1);  // the single extra face 0,2,4 remains
   EXPECT_EQ(inspect(repair({s.vertices, at::cat({s.faces, s.faces})})).faces, s.faces.size(0));
 }
 
 TEST(Repair, TwoTetrahedraAtAnEdgeComeApart) {
-  // Closed, but the shared edge 0-1 has four faces.
+  // Closed, but four faces share the edge 0-1.
   const std::vector<std::array<float, 3>> v = {{0, 0, 0}, {0, 0, 1},  {1, 0, 0},
                                                {1, 1, 0}, {-1, 0, 0}, {-1, -1, 0}};
   const auto tetrahedron = [](int32_t a, int32_t b, int32_t c, int32_t d) {
@@ -148,7 +150,7 @@ TEST(Repair, TwoTetrahedraAtAnEdgeComeApart) {
   auto f = tetrahedron(0, 1, 2, 3);
   const auto g = tetrahedron(0, 1, 4, 5);
   f.insert(f.end(), g.begin(), g.end());
-  const TriMesh mesh = as_mesh(testing::make_shape(v, f));
+  const scene::TriMesh mesh = as_mesh(testing::make_shape(v, f));
   EXPECT_EQ(inspect(mesh).non_manifold_edges, 1);
   const MeshFacts facts = inspect(repair(mesh));
   EXPECT_TRUE(facts.closed()) << facts.boundary_edges << " " << facts.non_manifold_edges;
@@ -159,7 +161,7 @@ TEST(CloseHoles, MissingFacesComeBack) {
   const testing::Shape s = testing::sphere(2);
   Tensor keep = at::ones({s.faces.size(0)}, at::kBool);
   for (const int64_t gone : {3, 40, 41, 42, 43}) keep[gone].fill_(false);
-  const TriMesh open = {s.vertices, s.faces.index_select(0, keep.nonzero().flatten())};
+  const scene::TriMesh open = {s.vertices, s.faces.index_select(0, keep.nonzero().flatten())};
   EXPECT_FALSE(inspect(open).closed());
   const MeshFacts facts = inspect(close_holes(open));
   EXPECT_TRUE(facts.closed());
@@ -167,8 +169,8 @@ TEST(CloseHoles, MissingFacesComeBack) {
 }
 
 TEST(Simplify, SphereStaysClosedNearItsVolume) {
-  const TriMesh mesh = as_mesh(testing::sphere(5));
-  const TriMesh small = simplify(mesh, 1000);
+  const scene::TriMesh mesh = as_mesh(testing::sphere(5));
+  const scene::TriMesh small = simplify(mesh, 1000);
   const MeshFacts facts = inspect(small);
   EXPECT_LE(facts.faces, 1100);
   EXPECT_TRUE(facts.closed());
@@ -176,7 +178,7 @@ TEST(Simplify, SphereStaysClosedNearItsVolume) {
 }
 
 TEST(Subdivide, SelectionSplitsAndTheMeshStaysClosed) {
-  const TriMesh mesh = as_mesh(testing::sphere(3));
+  const scene::TriMesh mesh = as_mesh(testing::sphere(3));
   Tensor selected = at::zeros({mesh.faces.size(0)}, at::kBool);
   selected.narrow(0, 10, 40).fill_(true);
   const MeshFacts facts = inspect(subdivide(mesh, selected, 0));
@@ -187,7 +189,7 @@ TEST(Subdivide, SelectionSplitsAndTheMeshStaysClosed) {
 }
 
 TEST(Decimate, OnlyTheSelectionThins) {
-  const TriMesh mesh = as_mesh(testing::sphere(4));
+  const scene::TriMesh mesh = as_mesh(testing::sphere(4));
   const Tensor centre = mesh.vertices.index_select(0, mesh.faces.select(1, 0).to(at::kLong));
   const Tensor upper = centre.select(1, 2) > 0.2;
   const MeshFacts facts = inspect(decimate(mesh, upper, 0.3));
@@ -197,7 +199,7 @@ TEST(Decimate, OnlyTheSelectionThins) {
 }
 
 TEST(Regularizer, GradientsAgainstCentralDifferences) {
-  TriMesh mesh = as_mesh(testing::sphere(1));
+  scene::TriMesh mesh = as_mesh(testing::sphere(1));
   mesh.vertices = mesh.vertices.to(at::kDouble);
   const Tensor moved = mesh.vertices + testing::uniform(mesh.vertices.sizes(), -0.05, 0.05, 4);
   const MeshRegularizer uniform(mesh), cotangent(mesh, LaplacianWeights::kCotangent);
@@ -212,10 +214,10 @@ TEST(Regularizer, GradientsAgainstCentralDifferences) {
 }
 
 TEST(Regularizer, EqualsTheTensorReference) {
-  TriMesh mesh = as_mesh(testing::sphere(2));
+  scene::TriMesh mesh = as_mesh(testing::sphere(2));
   mesh.vertices = mesh.vertices.to(at::kDouble);
   const Tensor moved0 = mesh.vertices + testing::uniform(mesh.vertices.sizes(), -0.05, 0.05, 4);
-  // Every edge of a closed mesh is in two faces, once each way.
+  // Every edge of a closed mesh has two faces, one in each direction.
   const Tensor f = mesh.faces.to(at::kLong);
   const Tensor from = f.flatten(), to = f.roll(-1, 1).flatten();
   std::vector<Tensor> results;
@@ -242,7 +244,7 @@ TEST(Regularizer, EqualsTheTensorReference) {
 }
 
 TEST(Regularizer, AVertexWithoutFacesIsLeftAlone) {
-  TriMesh mesh = as_mesh(testing::sphere(1));
+  scene::TriMesh mesh = as_mesh(testing::sphere(1));
   const double before = MeshRegularizer(mesh).laplacian(mesh.vertices).item<double>();
   const auto count = static_cast<double>(mesh.vertices.size(0));
   mesh.vertices = at::cat({mesh.vertices, at::full({1, 3}, 5.F)});
@@ -251,8 +253,8 @@ TEST(Regularizer, AVertexWithoutFacesIsLeftAlone) {
 }
 
 /// A flat fan around the origin: a wide half on the right, a narrow one on the left.
-TriMesh uneven_fan() {
-  TriMesh fan;
+scene::TriMesh uneven_fan() {
+  scene::TriMesh fan;
   fan.vertices =
       at::tensor({0.F, 0.F, 0.F, 3.F, 0.F, 0.F, 0.F, 1.F, 0.F, -1.F, 0.F, 0.F, 0.F, -1.F, 0.F})
           .view({5, 3});
@@ -261,10 +263,10 @@ TriMesh uneven_fan() {
 }
 
 TEST(Regularizer, CotangentLaplacianByHand) {
-  const TriMesh fan = uneven_fan();
+  const scene::TriMesh fan = uneven_fan();
   const MeshRegularizer uniform(fan), cotangent(fan, LaplacianWeights::kCotangent);
-  // Inner edges to (3,0), (-1,0), (0,+-1): (cot a + cot b) / 2 = 1/3, 1, (3 + 1) / 2. The rim: half
-  // the cotangent of the right angle in the middle is 0, so the least weight.
+  // Inner edges to (3,0), (-1,0), (0,+-1): (cot a + cot b) / 2 = 1/3, 1, (3 + 1) / 2. Rim edges:
+  // half the cotangent of the right angle at the centre is 0, so they have the least weight.
   const double w1 = 1.0 / 3, w2 = 2, w3 = 1, rim = 1e-4;
   const auto square = [](double x, double y) { return x * x + y * y; };
   const double total = w1 + 2 * w2 + w3;
@@ -275,7 +277,7 @@ TEST(Regularizer, CotangentLaplacianByHand) {
   EXPECT_NEAR(cotangent.laplacian(fan.vertices).item<double>(),
               (middle + right + left + 2 * up) / 5, 1e-5);
   EXPECT_NEAR(middle, 0, 1e-12);
-  // Uniform weights pull the middle of this flat fan to the right.
+  // Uniform weights pull the centre of this flat fan to the right.
   const double uniform_middle = square(2.0 / 4, 0), uniform_right = square(3, 0),
                uniform_left = square(-1, 0), uniform_up = square(2.0 / 3, 1);
   EXPECT_NEAR(uniform.laplacian(fan.vertices).item<double>(),
@@ -283,14 +285,14 @@ TEST(Regularizer, CotangentLaplacianByHand) {
 }
 
 TEST(Regularizer, LengthOfEdgesByHand) {
-  // Four inner edges 3, 1, 1, 1 and four of the rim, squared 10, 2, 2, 10.
+  // Four inner edges of length 3, 1, 1, 1, and four rim edges whose squares are 10, 2, 2, 10.
   const MeshRegularizer regularizer(uneven_fan());
   EXPECT_NEAR(regularizer.edge_length(uneven_fan().vertices).item<double>(), (9 + 3 + 24) / 8.0,
               1e-6);
 }
 
 TEST(Regularizer, ChamferEqualsTheSearchOfAllPairs) {
-  const TriMesh mesh = as_mesh(testing::sphere(3));
+  const scene::TriMesh mesh = as_mesh(testing::sphere(3));
   const MeshRegularizer regularizer(mesh);
   for (const double size : {0.001, 0.02, 0.1}) {
     const Tensor shift = testing::uniform(mesh.vertices.sizes(), -size, size, 9).to(at::kFloat);
@@ -304,28 +306,15 @@ TEST(Regularizer, ChamferEqualsTheSearchOfAllPairs) {
 }
 
 TEST(Regularizer, ChamferSearchesWhenVerticesTravelFar) {
-  const TriMesh mesh = as_mesh(testing::sphere(2));
+  const scene::TriMesh mesh = as_mesh(testing::sphere(2));
   const MeshRegularizer regularizer(mesh);
-  // A rotation by a quarter turn maps the vertex set onto itself: distance 0, although every
-  // vertex left its own place.
+  // A quarter turn maps the set of vertices onto itself: the distance is 0, although every vertex
+  // moved.
   const Tensor turned = at::stack(
       {-mesh.vertices.select(1, 1), mesh.vertices.select(1, 0), mesh.vertices.select(1, 2)}, 1);
   EXPECT_LT(regularizer.chamfer(turned).item<double>(), 1e-10);
   EXPECT_NEAR(regularizer.chamfer(mesh.vertices * 1.01).item<double>(), 2e-4, 1e-6);
 }
 
-TEST(WritePly, CountsAndUnits) {
-  testing::TemporaryFolder folder;
-  const TriMesh mesh = as_mesh(testing::sphere(1));
-  write_ply(mesh, {0.5, {1, 2, 3}}, folder / "m.ply");
-  const std::string bytes = read_file(folder / "m.ply");
-  EXPECT_NE(bytes.find("element vertex 18"), std::string::npos);
-  EXPECT_NE(bytes.find("element face 32"), std::string::npos);
-  float first[3];
-  std::memcpy(first, bytes.data() + bytes.find("end_header\n") + 11, sizeof first);
-  EXPECT_FLOAT_EQ(first[0], 3);  // (1,0,0) / 0.5 + centre
-  EXPECT_FLOAT_EQ(first[1], 2);
-}
-
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::mesh

@@ -5,9 +5,13 @@
 #include "support/stop_after.h"
 #include "support/synthetic_capture.h"
 #include "support/temporary_folder.h"
+#include "tt3d/capture.h"
 #include "tt3d/mesh.h"
+#include "tt3d/raster.h"
+#include "tt3d/scene.h"
+#include "tt3d/surface.h"
 
-namespace tt3d {
+namespace tt3d::mesh {
 namespace {
 
 using at::Tensor;
@@ -23,16 +27,16 @@ MeshOptions small_options() {
   return o;
 }
 
-GridMlp small_appearance() {
-  FieldShape shape;
+field::GridMlp small_appearance() {
+  field::FieldShape shape;
   shape.geometry = {2, 4, 8, 8, 1};
   shape.appearance = {6, 8, 64, 12, 2};
   shape.occupancy = 8;
-  return RadianceField::create(shape, 1).appearance;
+  return field::RadianceField::create(shape, 1).appearance;
 }
 
 TEST(RefineMesh, FindsTheBallFromATooSmallOne) {
-  const Capture capture = testing::ball_capture(16, 40);
+  const capture::Capture capture = testing::ball_capture(16, 40);
   const testing::Shape start = testing::sphere(3, 0.55F);
   Progress quiet;
   testing::TemporaryFolder folder;
@@ -41,51 +45,52 @@ TEST(RefineMesh, FindsTheBallFromATooSmallOne) {
   o.vertex_rate = 2e-3;
   o.offset_weight = 0;
   o.mask_weight = 1;
-  const RefinedMesh r = refine_mesh({start.vertices, start.faces}, small_appearance(), capture, o,
-                                    1, folder / "c", quiet);
+  const object::Object r = refine_mesh({start.vertices, start.faces}, small_appearance(), capture,
+                                       o, 1, folder / "c", quiet);
   const MeshFacts facts = inspect(r.mesh);
   EXPECT_TRUE(facts.closed());
   EXPECT_NE(facts.faces, start.faces.size(0));  // faces were split or thinned
   EXPECT_NEAR(r.mesh.vertices.norm(2, {1}).mean().item<double>(), 0.6, 0.02);
   const RenderMesh prepared(r.mesh.faces);
   at::NoGradGuard guard;
-  const double psnr = mean_psnr(
+  const double psnr = capture::mean_psnr(
       capture.test,
-      [&](const Camera& camera) {
+      [&](const scene::Camera& camera) {
         return render_mesh(
             r.mesh.vertices, r.mesh.vertices, prepared, {camera},
-            [&](const SurfacePoints& p) { return r.appearance.color(p.positions); })[0];
+            [&](const raster::SurfacePoints& p) { return r.appearance->color(p); })[0];
       },
       quiet);
   EXPECT_GT(psnr, 24);
 }
 
 TEST(RefineMesh, ResumedAfterAnyStopGivesTheSameBytes) {
-  const Capture capture = testing::ball_capture(8, 24);
+  const capture::Capture capture = testing::ball_capture(8, 24);
   const testing::Shape start = testing::sphere(3, 0.58F);
-  const TriMesh mesh = {start.vertices, start.faces};
+  const scene::TriMesh mesh = {start.vertices, start.faces};
   Progress quiet;
   testing::TemporaryFolder folder;
   const MeshOptions o = small_options();
-  const RefinedMesh whole =
+  const object::Object whole =
       refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "whole", quiet);
   Random random(6, "stops");
   for (int stops = 0; stops < 4; ++stops) {
-    testing::StopAfter stop(static_cast<int>(1 + random.index(15)));
-    try {
-      (void)refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "stopped", stop);
-    } catch (const Interrupted&) {
-    }
+    // 36 steps at most: every stop comes before the end.
+    testing::StopAfter stop(static_cast<int>(1 + random.index(9)));
+    EXPECT_THROW(
+        (void)refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "stopped", stop),
+        Interrupted)
+        << stops;
   }
-  const RefinedMesh again =
+  const object::Object again =
       refine_mesh(mesh, small_appearance(), capture, o, 1, folder / "stopped", quiet);
   EXPECT_TRUE(at::equal(whole.mesh.vertices, again.mesh.vertices));
   EXPECT_TRUE(at::equal(whole.mesh.faces, again.mesh.faces));
-  EXPECT_TRUE(at::equal(whole.appearance.grid, again.appearance.grid));
+  EXPECT_TRUE(at::equal(whole.appearance->parameters()[0], again.appearance->parameters()[0]));
 }
 
 TEST(RefineMesh, DivergenceRollsBackThreeTimesAndThenStops) {
-  const Capture capture = testing::ball_capture(4, 16);
+  const capture::Capture capture = testing::ball_capture(4, 16);
   const testing::Shape start = testing::sphere(2, 0.58F);
   MeshOptions o = small_options();
   o.vertex_rate = 1e30;  // vertices overflow at once
@@ -98,11 +103,11 @@ TEST(RefineMesh, DivergenceRollsBackThreeTimesAndThenStops) {
 }
 
 TEST(ExtractMesh, EmptyFieldIsAnInputError) {
-  FieldShape shape;
+  field::FieldShape shape;
   shape.geometry = {2, 4, 8, 8, 1};
   shape.appearance = {2, 4, 8, 8, 2};
   shape.occupancy = 16;
-  RadianceField f = RadianceField::create(shape, 1);
+  field::RadianceField f = field::RadianceField::create(shape, 1);
   f.occupied.zero_();
   MeshOptions o;
   o.resolution = 24;
@@ -111,4 +116,4 @@ TEST(ExtractMesh, EmptyFieldIsAnInputError) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::mesh

@@ -5,7 +5,7 @@
 #include "support/temporary_folder.h"
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 using testing::Entries;
@@ -15,7 +15,7 @@ const std::string kRoot = "toy_cnn/";
 const std::string kGraph = kRoot + "models/model.json";
 const std::string kWeights = kRoot + "data/weights/model_weights_config.json";
 
-/// Packages made from the toy network, each wrong in one place.
+/// Packages made from the toy network, each with one error.
 class Refusal : public ::testing::Test {
  protected:
   void edit_json(const std::string& entry, const std::function<void(Json&)>& edit) {
@@ -33,7 +33,7 @@ class Refusal : public ::testing::Test {
     testing::pack(path, entries, deflate, last);
     testing::write_card(path, "toy_cnn");
   }
-  /// The error of loading the package, "" if it loads.
+  /// The error when loading the package, "" if it loads.
   std::string error(const ModelLimits& limits = {}) const {
     try {
       (void)Classifier::load(path.string(), limits);
@@ -120,7 +120,7 @@ TEST_F(Refusal, DuplicateEntries) {
   testing::overwrite(bytes, "dup_b", "dup_a");
   write_file_atomic(path, bytes);
   testing::write_card(path, "toy_cnn");
-  expect_error("is there twice");
+  expect_error("appears twice");
 }
 
 TEST_F(Refusal, TruncatedFile) {
@@ -276,4 +276,4 @@ TEST_F(Refusal, DeeplyNestedGraph) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -6,10 +6,10 @@
 
 #include "model/package_tools.h"
 #include "support/temporary_folder.h"
-#include "tt3d/capture.h"
+#include "tt3d/image.h"
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 namespace fs = std::filesystem;
@@ -48,7 +48,7 @@ TEST(Classifier, ProbesHoldWithEveryOption) {
       const ModelOptions options{(mode & 1) != 0, (mode & 2) != 0, true};
       const auto model = Classifier::load(toy(name), {}, nullptr, options);
       ASSERT_TRUE(model->probe().present);
-      EXPECT_FALSE(model->probe().gradients);  // loading needs no backward pass
+      EXPECT_FALSE(model->probe().gradients);  // loading runs no backward pass
       model->check_gradients();
       ASSERT_TRUE(model->probe().gradients);
       EXPECT_LT(model->probe().logit_error, 1e-5) << name << mode;
@@ -58,9 +58,10 @@ TEST(Classifier, ProbesHoldWithEveryOption) {
   }
 }
 
-/// Compares the gradient of random images with the central difference along it, where the signal
-/// stands clear of float32's rounding. The step is small because the toys bend and have kinks: of
-/// random images one in forty is more than 2 % off at 0.01, one in two hundred at this step.
+/// Compares the gradient at random images with the central difference along it, where the change is
+/// well above float32's rounding. The step is small because the toy networks are curved and have
+/// kinks: with step 0.01, one random image in forty is more than 2 % off, with this step one in two
+/// hundred.
 void expect_slope_along_gradient(const Classifier& model, int64_t batch) {
   at::Tensor images = at::rand({batch, 3, 16, 16}).requires_grad_(true);
   const at::Tensor weight = at::randn({batch, 7});
@@ -73,7 +74,7 @@ void expect_slope_along_gradient(const Classifier& model, int64_t batch) {
   EXPECT_NEAR(change.to(at::kDouble).sum().item<double>() / (2 * kStep), expected, 0.02 * expected);
 }
 
-/// One image, where torch's batch_norm alone is wrong.
+/// One image: the only case where torch's batch_norm is wrong.
 TEST(Classifier, GradientThroughBatchNormAtBatchOne) {
   const auto model = Classifier::load(toy("toy_norm"));
   model->check_gradients();
@@ -176,7 +177,7 @@ TEST(Card, MustBelongToTheArchive) {
             std::string::npos);
 }
 
-/// Its answers are right, its gradients are not: fit to be a victim, not a surrogate.
+/// The logits match the probe, the gradients do not: usable as a victim, but not as a surrogate.
 TEST(Card, GradientsAreHeldToTheProbeBeforeTheFirstOne) {
   const EditedCard edited([](Json& card) {
     for (Json& value : card["probe"]["cases"][0]["gradient"]) value = -value.get<double>();
@@ -234,7 +235,8 @@ TEST(Registry, FindsNamesInTheVariable) {
   EXPECT_THROW((void)find_model("no/such.pt2"), InputError);
 }
 
-/// Top-1 on every tenth shared photograph is that of the card (all 1000) within its scatter.
+/// Top-1 accuracy on every tenth shared photograph agrees with the card's (over all 1000) within
+/// its statistical error.
 TEST(SharedModels, TopOneOnPhotos) {
   const fs::path shared = fs::path(TT3D_SOURCE_DIR) / "../shared/data";
   if (!fs::exists(shared / "photos")) GTEST_SKIP() << "no ../shared/data/photos";
@@ -248,7 +250,7 @@ TEST(SharedModels, TopOneOnPhotos) {
     const at::NoGradGuard no_gradients;
     int hits = 0, total = 0;
     for (size_t i = 0; i < photos.size(); i += 10, ++total) {
-      const at::Tensor rgb = read_image(photos[i]).slice(2, 0, 3).to(at::kFloat).div(255);
+      const at::Tensor rgb = image::read_image(photos[i]).slice(2, 0, 3).to(at::kFloat).div(255);
       const at::Tensor image =
           preprocess(rgb.permute({2, 0, 1}).unsqueeze(0).contiguous(), model->card());
       const auto best = static_cast<size_t>(model->logits(image).argmax(1).item<int64_t>());
@@ -260,4 +262,4 @@ TEST(SharedModels, TopOneOnPhotos) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -7,7 +7,7 @@
 #include "tt3d/model.h"
 #include "tt3d/random_tensor.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 std::shared_ptr<Classifier> toy(const std::string& name, int64_t bytes = int64_t{1} << 30) {
@@ -39,11 +39,11 @@ TEST(FeatureMix, IsAShareOfEachChannelByHand) {
   EXPECT_TRUE(at::allclose(shares, first.expand_as(shares), 1e-2, 1e-3));
   EXPECT_GE(shares.min().item<float>(), -1e-3);
   EXPECT_LT(shares.max().item<float>(), 0.751);
-  EXPECT_GT(first.std().item<float>(), 0.05);  // another share for each channel and picture
+  EXPECT_GT(first.std().item<float>(), 0.05);  // weights differ per channel and picture
   const RandomKey key = Random(mix.seed, "model/mix/0", mix.step).key();
   EXPECT_TRUE(
       at::allclose(first, uniform_tensor({2, 4, 1, 1}, 0, 0.75, key, at::kCPU), 1e-2, 1e-3));
-  // The features of a linear layer lie last.
+  // The features of a linear layer are the last dimension.
   model::FeatureMixer linear(mix, 0);
   (void)linear.take(0, at::ones({2, 5, 6}), false);
   linear.begin_mixing();
@@ -123,4 +123,4 @@ TEST(FeatureMix, WantsACompetitorForEachPicture) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -5,9 +5,9 @@
 #include "support/temporary_folder.h"
 #include "tt3d/model.h"
 
-/// Graphs whose operators would take too much memory or change weights: the promises of
-/// docs/threat-model.md that hold while a graph runs.
-namespace tt3d {
+/// Graphs whose operators would take too much memory or change weights: the guarantees of
+/// docs/threat-model.md while a graph runs.
+namespace tt3d::model {
 namespace {
 
 using testing::Entries;
@@ -35,7 +35,7 @@ Json node(const std::string& target, const std::vector<Json>& inputs, const Json
           {"metadata", Json::object()}};
 }
 
-/// The toy network with nodes added at its end.
+/// The toy network with additional nodes at its end.
 class Hostile : public ::testing::Test {
  protected:
   std::string error_with(const std::vector<Json>& nodes) {
@@ -71,13 +71,13 @@ TEST_F(Hostile, HugeTensorsAreRefusedBeforeTheyAreMade) {
   const int64_t huge = int64_t{1} << 40;
   expect_refused(
       {node("zeros.default", {argument("size", "as_ints", Json::array({huge}))}, result("a"))},
-      "passes the limit");
+      "exceeds the limit");
   const Json column =
       node("zeros.default", {argument("size", "as_ints", {1 << 20, 1})}, result("a"));
   const Json row = node("zeros.default", {argument("size", "as_ints", {1, 1 << 20})}, result("b"));
   expect_refused(
       {column, row, node("add.Tensor", {tensor("self", "a"), tensor("other", "b")}, result("c"))},
-      "passes the limit");
+      "exceeds the limit");
   expect_refused({column, node("expand.default",
                                {tensor("self", "a"), argument("size", "as_ints", {1 << 20, huge})},
                                result("c"))},
@@ -101,7 +101,7 @@ Json zeros(const std::string& name, const std::vector<int64_t>& sizes) {
   return node("zeros.default", {argument("size", "as_ints", sizes)}, result(name));
 }
 
-/// Arguments that torch's own kernels follow out of bounds or into a crash.
+/// Arguments for which torch's own kernels read out of bounds or crash.
 TEST_F(Hostile, ArgumentsThatLeadOutOfBoundsAreRefused) {
   const Json picture = zeros("evil_x", {2, 8, 4, 4});
   expect_refused(
@@ -146,7 +146,7 @@ TEST_F(Hostile, WritesThroughViewsOfWeightsAreRefused) {
             result("a")),
        zero},
       "writes to a weight");
-  // A view that the operator's schema does not tell of.
+  // A view that the operator's schema does not declare.
   Json operands = argument("tensors", "as_tensors", Json::array());
   operands["arg"]["as_tensors"].push_back({{"name", "p_head_weight"}});
   expect_refused(
@@ -164,4 +164,4 @@ TEST_F(Hostile, NumbersWrittenIntoAreMadeAnew) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

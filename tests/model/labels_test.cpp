@@ -3,7 +3,7 @@
 #include "model/card.h"
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 ModelCard imagenet_card() {
@@ -59,4 +59,4 @@ TEST(Labels, UnknownNamesSuggestNearOnes) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -7,7 +7,7 @@
 #include "support/temporary_folder.h"
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 namespace fs = std::filesystem;
@@ -51,7 +51,7 @@ TEST(Memory, GradientsOfASplitBatchAreThoseOfTheWhole) {
   }
 }
 
-/// The images before the model learn through a split batch as through a whole one.
+/// A graph before the model gets the same gradient from a split batch as from a whole one.
 TEST(Memory, SplitBatchIsPartOfALongerGraph) {
   const at::Tensor images = at::rand({9, 3, 16, 16});
   std::vector<at::Tensor> gradients;
@@ -72,10 +72,10 @@ TEST(Memory, SplittingBoundsWhatGradientsHold) {
   const auto parts = with_limit("toy_cnn", limit);
   const int64_t held_parts = memory.peak_growth([&] { (void)gradient(*parts, images); });
   const int64_t held_whole = memory.peak_growth([&] { (void)gradient(*whole, images); });
-  // Images, their normalised copies and their gradient: what the caller asks for.
+  // The caller's part: images, their normalised copies and their gradient.
   const auto images_bytes = static_cast<int64_t>(images.nbytes());
   EXPECT_LT(held_parts, 4 * images_bytes + 2 * limit);
-  EXPECT_LT(held_parts + 2 * images_bytes, held_whole);  // the activations of all images: more
+  EXPECT_LT(held_parts + 2 * images_bytes, held_whole);  // that holds all images' activations
 }
 
 TEST(Memory, OneImageThatDoesNotFitIsAResourceError) {
@@ -86,17 +86,19 @@ TEST(Memory, OneImageThatDoesNotFitIsAResourceError) {
 
 TEST(Memory, GradientsOutliveTheClassifier) {
   const at::Tensor images = at::rand({9, 3, 16, 16}).requires_grad_(true);
-  at::Tensor logits;
+  at::Tensor logits, expected;
   {
     const auto model = with_limit("toy_cnn", 150000);
+    expected = gradient(*model, images.detach());
     logits = model->logits(images);
   }
-  logits.sum().backward();
-  EXPECT_GT(images.grad().abs().sum().item<float>(), 0);
+  (logits * at::linspace(-1, 1, logits.numel()).view_as(logits)).sum().backward();
+  EXPECT_TRUE(at::allclose(images.grad(), expected, 1e-5, 1e-7));
+  EXPECT_GT(expected.abs().max().item<float>(), 1e-4);
 }
 
-/// Weights that lie aligned in the archive are used from there; compressed or unaligned ones are
-/// copied. The answers are the same.
+/// Weights that are aligned in the archive are used from there; compressed or unaligned ones are
+/// copied. The results are equal.
 TEST(Memory, MappedAndCopiedWeightsAreTheSame) {
   const testing::TemporaryFolder folder;
   const at::Tensor images = at::rand({2, 3, 16, 16});
@@ -124,4 +126,4 @@ TEST(Memory, ReplacedArchiveDoesNotChangeALoadedModel) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

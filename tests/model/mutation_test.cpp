@@ -8,7 +8,7 @@
 #include "support/temporary_folder.h"
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 using testing::Entries;
@@ -24,12 +24,12 @@ rlim_t address_space() {
   return pages * 4096;
 }
 
-/// Damaged copies of the toy network, loaded under a memory cap. The card's checksum is that of
+/// Damaged copies of the toy network, loaded under a memory limit. The card's checksum is that of
 /// the damaged file, as if an attacker had written both.
 class Mutation : public ::testing::Test {
  protected:
   void SetUp() override {
-    // First runs start threads and caches; the cap is for what mutants add.
+    // The first run starts threads and fills caches; the limit applies to what mutants add.
     expected = Classifier::load(testing::fixture("toy_cnn.pt2").string())->logits(images);
     const rlim_t cap = address_space() + kMemoryCap;
     const rlimit limit{cap, RLIM_INFINITY};
@@ -40,7 +40,7 @@ class Mutation : public ::testing::Test {
     ::setrlimit(RLIMIT_AS, &limit);
   }
 
-  /// Loads the package: the same answers, or one line of a typed error.
+  /// Loads the package: either the logits are unchanged, or it throws a typed error of one line.
   void expect_answer_or_error(const std::string& mutant) {
     testing::write_card(path, "toy_cnn");
     ModelLimits limits;
@@ -101,4 +101,4 @@ TEST_F(Mutation, FlippedBytesOfTheGraphAndTheTables) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -14,7 +14,7 @@
 
 #include "tt3d/core.h"
 
-/// Packages that are wrong in one place: unpack a good one, change it, pack it again.
+/// Packages with one error: unpack a good one, change it, pack it again.
 namespace tt3d::testing {
 
 using Entries = std::map<std::string, std::string>;
@@ -64,7 +64,7 @@ inline void write_card(const std::filesystem::path& archive, const std::string& 
   write_file_atomic(path.replace_extension(".json"), card.dump());
 }
 
-/// Overwrites every `from` with `to`, which has the same length: offsets in a zip stay valid.
+/// Replaces every `from` by `to`, which has the same length, so that offsets in a zip stay valid.
 inline void overwrite(std::string& text, std::string_view from, std::string_view to) {
   for (size_t at = 0; (at = text.find(from, at)) != std::string::npos; at += to.size()) {
     std::copy(to.begin(), to.end(), text.begin() + static_cast<std::ptrdiff_t>(at));

@@ -6,7 +6,7 @@
 #include "model/package_tools.h"
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 std::string toy(const std::string& name) { return testing::fixture(name + ".pt2").string(); }
@@ -65,4 +65,4 @@ TEST(Precision, RefusedWhereItWouldBeSlower) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -6,7 +6,7 @@
 #include "model/probe.h"
 #include "tt3d/model.h"
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 ModelCard card_of(int64_t size, int64_t resize, const std::string& interpolation) {
@@ -72,4 +72,4 @@ TEST(Preprocess, RefusesOtherTensors) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

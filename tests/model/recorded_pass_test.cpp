@@ -1,5 +1,5 @@
-// A classifier's recorded pass, with a recorder that runs on the CPU. That CUDA graphs are such a
-// recorder is checked on a GPU (tests/gpu).
+// A classifier's recorded pass, with a recorder for the CPU. tests/gpu checks that CUDA graphs
+// behave like this recorder.
 
 #include "model/pass_recorder.h"
 
@@ -14,7 +14,7 @@ namespace {
 
 using at::Tensor;
 
-/// Plays by running again, on the same memory.
+/// A recording that plays by running the work again, on the same memory.
 struct Again final : Recording {
   explicit Again(int& count) : plays(count) {}
   void record(const std::function<void()>& what) override {
@@ -23,7 +23,7 @@ struct Again final : Recording {
   }
   void play() override {
     ++plays;
-    const at::AutoGradMode with_gradients(true);  // as when it was recorded
+    const at::AutoGradMode with_gradients(true);  // as at the time of recording
     work();
   }
   std::function<void()> work;
@@ -59,7 +59,7 @@ TEST(RecordedPass, GivesWhatTheNetworkGives) {
     EXPECT_TRUE(at::equal(actual, expected));
     EXPECT_TRUE(at::equal(gradient_of(actual, images), gradient_of(expected, images)));
   }
-  EXPECT_EQ(plays, 4);  // forward and backward, no more
+  EXPECT_EQ(plays, 4);  // forward and backward only
 }
 
 TEST(RecordedPass, EachBatchHasItsOwnGradientInAnyOrder) {
@@ -68,7 +68,7 @@ TEST(RecordedPass, EachBatchHasItsOwnGradientInAnyOrder) {
       std::make_shared<RecordedPass>(std::make_unique<AgainRecorder>(plays), network, pictures(1));
   const Tensor a = pictures(5).requires_grad_(true), b = pictures(6).requires_grad_(true);
   const Tensor of_a = played_logits(pass, a), of_b = played_logits(pass, b);
-  EXPECT_TRUE(at::equal(of_a, network(a)));  // not overwritten by b's turn
+  EXPECT_TRUE(at::equal(of_a, network(a)));  // the run of b did not overwrite it
   EXPECT_TRUE(at::equal(gradient_of(of_a, a), gradient_of(network(a), a)));
   EXPECT_TRUE(at::equal(gradient_of(of_b, b), gradient_of(network(b), b)));
 }

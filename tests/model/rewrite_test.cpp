@@ -33,7 +33,7 @@ Step step(const char* name, std::vector<Input> inputs, Slot result) {
 
 constexpr Slot kPicture = 0, kWeight = 1, kPadded = 2, kResult = 3;
 
-/// A padding, and a convolution with its own padding of 1 by 0 behind it.
+/// A padding, followed by a convolution with its own padding of 1 by 0.
 Graph padded_convolution(std::vector<int64_t> pad, const char* mode, double value) {
   Graph graph;
   graph.names = {"x", "w", "padded", "y"};

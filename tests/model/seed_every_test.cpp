@@ -1,10 +1,10 @@
-// ATen's default generator starts from the machine's entropy, so that at::rand of an unseeded test
-// would differ from run to run: each test starts from the same seed, whatever ran before it.
+// ATen's default generator starts with random bits of the machine. Each test therefore sets the
+// same seed, so that at::rand gives the same numbers in every run and any test order.
 
 #include <ATen/Context.h>
 #include <gtest/gtest.h>
 
-namespace tt3d {
+namespace tt3d::model {
 namespace {
 
 class SeedEveryTest : public ::testing::EmptyTestEventListener {
@@ -18,4 +18,4 @@ class SeedEveryTest : public ::testing::EmptyTestEventListener {
 }();
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -10,13 +10,13 @@
 
 namespace tt3d::testing {
 
-/// Counts the bytes of all CPU tensors from the first use on, exactly: the memory of a process, as
-/// the kernel sees it, moves with the allocator's arenas and with what ran before.
+/// Counts the bytes of all CPU tensors exactly, from the first use on. The kernel's figure for a
+/// process would depend on the allocator's arenas and on earlier work.
 class TensorMemory final : public c10::Allocator {
  public:
   static TensorMemory& instance() {
     static TensorMemory* const memory = [] {
-      // Never freed: tensors of static lifetime may use it until the very end.
+      // Never freed: tensors of static lifetime may use it until the process ends.
       auto* allocator = new TensorMemory(c10::GetCPUAllocator());
       c10::SetCPUAllocator(allocator, std::numeric_limits<uint8_t>::max());
       return allocator;
@@ -24,7 +24,7 @@ class TensorMemory final : public c10::Allocator {
     return *memory;
   }
 
-  /// The most bytes that `work` held at once beyond those held before it.
+  /// Peak number of bytes during `work`, minus the bytes in use before it.
   template <typename Work>
   int64_t peak_growth(const Work& work) {
     const int64_t before = restart();

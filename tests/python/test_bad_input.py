@@ -1,4 +1,4 @@
-"""Every command that reads an asset, a run or a video reports a fault of it in one line."""
+"""Check that every command reports a bad asset, run or video in one line."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def test_each_command_names_the_bad_file(tmp_path: Path, what: str) -> None:
     assert not (tmp_path / "out/x.stl").exists()
 
 
-def test_no_texture_no_uvs_and_several_materials_are_drawn(tmp_path: Path) -> None:
+def test_no_texture_no_uvs_and_several_materials_are_rendered(tmp_path: Path) -> None:
     plain = tmp_path / "plain.obj"
     plain.write_text(TRIANGLES + FACES)
     (tmp_path / "two.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n")
@@ -205,13 +205,13 @@ def test_no_texture_no_uvs_and_several_materials_are_drawn(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("option", ["--half-mlp", "--cuda-graphs"])
-def test_options_of_a_gpu_are_refused_on_a_cpu(tmp_path: Path, option: str) -> None:
+def test_gpu_options_are_errors_on_a_cpu(tmp_path: Path, option: str) -> None:
     out = tmp_path / "run"
     one_line(limited(["fit", tmp_path, "--device", "cpu", option, "--out", out]), 2, option)
     assert not out.exists()
 
 
-def test_a_run_folder_that_is_none(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_run(tmp_path: Path) -> None:
     one_line(limited(["report", tmp_path]), 2, "not a run folder")
     one_line(limited(["bake", tmp_path / "absent"]), 2, "absent")
     (tmp_path / "run.json").write_text("{")

@@ -51,7 +51,7 @@ def run_tool(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_package_holds_what_pytorch_answers(tmp_path: Path) -> None:
+def test_package_has_the_answers_of_pytorch(tmp_path: Path) -> None:
     archive, card_path = write_package(small_spec(), tmp_path, (1, 3))
     card = json.loads(card_path.read_text())
     assert card["sha256"] == file_sha256(archive)
@@ -76,7 +76,7 @@ def test_a_network_without_classes_is_refused() -> None:
         build_named("timm:eva02_tiny_patch14_224", "none")
 
 
-def test_failed_export_keeps_no_half_package(tmp_path: Path) -> None:
+def test_failed_export_leaves_no_partial_package(tmp_path: Path) -> None:
     class Loop(torch.nn.Module):
         def forward(self, x: torch.Tensor) -> torch.Tensor:
             return x.mean((2, 3)) * float(x.sum().item() > 0)
@@ -135,7 +135,7 @@ def test_checkpoints_that_run_code_are_refused(tmp_path: Path) -> None:
         load_weights(small_network(), path)
 
 
-def test_missing_weights_say_where_they_belong(
+def test_the_error_of_missing_weights_names_their_path(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     from tt3d_tools.zoo import build_named

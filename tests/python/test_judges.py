@@ -1,4 +1,4 @@
-"""Test the judges of other tasks with small random models of the real classes."""
+"""Test the judges of other tasks with small random models of the real types."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_a_broken_folder_is_an_input_error(tmp_path: Path) -> None:
     assert judge(tmp_path, "caption", tmp_path / "model").returncode == 2
 
 
-def test_words_are_found_as_words() -> None:
+def test_phrases_match_whole_words() -> None:
     from judge import says
 
     assert says("two hot dogs on a plate", "a hot dog")

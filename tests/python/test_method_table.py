@@ -29,11 +29,11 @@ def finish(folder: Path, asr: dict[str, float], budget: int = 1200) -> None:
     }
     (folder / "eval").mkdir(parents=True)
     (folder / "eval/builtin.json").write_text(json.dumps(record))
-    config = {"attack.steps": str(budget // 6), "attack.views_per_step": "6"}
+    config = {"attack.steps": budget // 6, "attack.views_per_step": 6}
     (folder / "run.json").write_text(json.dumps({"config": config}))
 
 
-def test_the_plan_has_every_cell_once_and_nothing_leaks() -> None:
+def test_the_plan_has_every_cell_once_and_leaves_out_one_architecture() -> None:
     cells = plan(*ALL)
     assert len({c.name for c in cells}) == len(cells)
     assert {c.obj for c in cells} == set(OBJECTS)
@@ -43,7 +43,7 @@ def test_the_plan_has_every_cell_once_and_nothing_leaks() -> None:
         assert len(cell.surrogates) == len(ARCHITECTURES) - 1
 
 
-def test_only_the_presets_and_objects_that_were_asked_for() -> None:
+def test_the_plan_has_only_the_given_presets_and_objects() -> None:
     cells = plan(("mesh", "dual"), ("chicken",))
     assert {c.obj for c in cells} == {"chicken"}
     assert {c.method for c in cells} == {"mesh", "dual"}
@@ -77,7 +77,7 @@ class Recorded(Table):
         self.attacked.append(cell)
 
 
-def test_attacks_run_side_by_side_after_their_objects_were_made_once(tmp_path: Path) -> None:
+def test_attacks_run_in_parallel_and_each_object_is_prepared_once(tmp_path: Path) -> None:
     cells = plan(("dual", "texture"), ("chicken", "siamese-cat"))[:4]
     table = Recorded(tmp_path, together=2)  # an attack alone would wait until the timeout
     run_missing(table, cells, jobs=2, limit=60)
@@ -96,7 +96,7 @@ def test_no_attack_begins_after_a_failure_or_the_limit(tmp_path: Path) -> None:
     assert late.attacked == []
 
 
-def test_surrogates_are_asked_equally_often_by_all_methods_of_a_table() -> None:
+def test_all_methods_of_a_table_run_the_surrogates_equally_often() -> None:
     shares: dict[str, set[int]] = {}
     for cell in plan(*ALL):
         a_step = 3 if cell.method == "strong" else 6 * len(cell.surrogates)
@@ -111,7 +111,7 @@ def score(obj: str, share: float) -> method_report.Score:
     return method_report.Score(obj, {"a": share}, 100, 22.0, 0.9)
 
 
-def test_the_interval_is_wide_where_objects_differ() -> None:
+def test_the_interval_is_wide_if_objects_differ() -> None:
     same = method_report.interval([score(o, 0.5) for o in "xyz"], ("a",))
     apart = method_report.interval(
         [score(o, s) for o, s in zip("xyz", (0.1, 0.5, 0.9), strict=True)], ("a",)
@@ -121,7 +121,7 @@ def test_the_interval_is_wide_where_objects_differ() -> None:
     assert method_report.interval([score("x", 0.0)], ("a",)) == (0, 0)
 
 
-def test_the_page_marks_what_was_attacked_and_says_what_was_not_run(
+def test_the_page_marks_surrogates_and_lists_missing_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib")
@@ -153,7 +153,7 @@ def test_the_program_keeps_the_hand_written_section(
     assert page.read_text() == text
 
 
-def test_some_tables_leave_the_rest_of_the_page_as_it_is(tmp_path: Path) -> None:
+def test_a_new_table_does_not_change_the_rest_of_the_page(tmp_path: Path) -> None:
     done: dict[Cell, Path] = {}
     for cell in (plan(*ALL)[0], next(c for c in plan(*ALL) if c.table == "leave-one-out")):
         done[cell] = tmp_path / cell.name

@@ -111,7 +111,7 @@ def test_lpips_without_a_backbone_says_what_to_download(tmp_path: Path) -> None:
     assert "vgg16-397923af.pth" in done.stdout and str(tmp_path / "vgg.pth") in done.stdout
 
 
-def test_concentric_spheres_are_their_difference_of_radii_apart() -> None:
+def test_the_distance_of_concentric_spheres_is_the_difference_of_their_radii() -> None:
     pytest.importorskip("embreex")
     from geometry import distances
 
@@ -125,7 +125,7 @@ def test_concentric_spheres_are_their_difference_of_radii_apart() -> None:
     assert same["chamfer"] < 1e-6 and same["hausdorff"] < 1e-6
 
 
-def test_hausdorff_sees_a_spike_that_chamfer_hardly_does() -> None:
+def test_a_spike_changes_hausdorff_more_than_chamfer() -> None:
     pytest.importorskip("embreex")
     from geometry import distances
 

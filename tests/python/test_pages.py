@@ -89,7 +89,7 @@ def test_options_of_the_model_commands() -> None:
     assert '"probe": null' in read.stdout
 
 
-def test_reduced_precision_is_refused_where_it_is_not_faster() -> None:
+def test_reduced_precision_is_an_error_if_it_is_not_faster() -> None:
     import torch
 
     if torch.cuda.is_available():

@@ -170,7 +170,7 @@ def test_a_box_is_printable_and_its_walls_are_its_sides(tmp_path: Path) -> None:
 
 
 def write_broken_asset(folder: Path) -> Path:
-    """The textured asset with a hole, twenty reversed faces, and a crumb beside it."""
+    """The textured asset with a hole, twenty reversed faces, and a small separate component."""
     path = write_asset(folder)
     lines = path.read_text().splitlines()
     faces = [line.split()[1:] for line in lines if line.startswith("f ")]

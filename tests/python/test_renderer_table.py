@@ -24,7 +24,7 @@ def make_run(folder: Path) -> Path:
     """Write the files of a finished run that the table reads."""
     (folder / "asset").mkdir(parents=True)
     (folder / "asset/adversarial.glb").write_bytes(b"an asset")
-    config = {"attack.surrogates": '["efficientnet_lite0"]'}
+    config = {"attack.surrogates": ["efficientnet_lite0"]}
     (folder / "run.json").write_text(json.dumps({"config": config}))
     return folder
 
@@ -50,7 +50,7 @@ def write_record(
         Image.new("RGBA", (40, 40), (200, 10 * view, 0, 255)).save(pictures / f"r_{view}.png")
 
 
-def test_every_renderer_unlit_then_lit_but_ours() -> None:
+def test_conditions_are_every_renderer_unlit_and_lit_except_builtin() -> None:
     names = [c.name for c in conditions(("builtin", "mitsuba", "meshlab"))]
     assert names == ["builtin", "mitsuba", "meshlab", "mitsuba-lit", "meshlab-lit"]
     assert Condition("blender", True).options == ["--renderer", "blender", "--lit"]
@@ -68,7 +68,7 @@ def test_another_asset_or_number_of_views_is_not_finished(tmp_path: Path) -> Non
     assert not table.finished(run, row)
 
 
-def test_the_page_has_the_figures_and_says_what_is_missing(
+def test_the_page_has_the_figures_and_lists_missing_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(renderer_report, "IMAGES", tmp_path)
@@ -106,7 +106,7 @@ def test_the_program_keeps_the_hand_written_section(
     assert "old table" not in page.read_text()
 
 
-def test_runs_of_one_name_do_not_share_a_folder(tmp_path: Path) -> None:
+def test_runs_with_the_same_name_have_different_folders(tmp_path: Path) -> None:
     table = Table(tmp_path, tmp_path / "tt3d", 20)
     row = Condition("builtin", False)
     assert table.record(Path("a/ball"), row) != table.record(Path("b/ball"), row)

@@ -78,7 +78,7 @@ def test_unlit_pictures_agree_with_ours(
 
 
 @pytest.mark.parametrize("renderer", ["mitsuba", "blender", "meshlab"])
-def test_a_steep_texture_agrees_where_pixels_are_averaged(tmp_path: Path, renderer: str) -> None:
+def test_a_high_contrast_texture_agrees_with_averaged_pixels(tmp_path: Path, renderer: str) -> None:
     """An adversarial texture has contrasts of a few texels, finer than a pixel at flat angles."""
     skip_without(renderer)
     asset = write_asset(tmp_path)
@@ -118,7 +118,7 @@ def test_lit_pictures_have_ground_and_shadow(
 def test_meshlab_has_the_ground_where_the_camera_is_above_it(
     assets: dict[str, Path], tmp_path: Path
 ) -> None:
-    """MeshLab's ground has one grey, as its lamp casts no shadow, and is left out from below."""
+    """MeshLab's lamp casts no shadow, so its ground is one grey. It is not drawn from below."""
     skip_without("meshlab")
     unlit = pictures(assets["glb"], tmp_path / "unlit")
     lit = pictures(assets["glb"], tmp_path / "lit", "--renderer", "meshlab", "--lit")

@@ -1,4 +1,4 @@
-"""Open the report from disk in headless Chromium: it draws, and the console stays empty."""
+"""Open the report from disk in headless Chromium; check the drawing and the empty console."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_objects_are_drawn_and_the_console_is_clean(page: Path) -> None:
         assert console_lines(driver) == []
 
 
-def test_without_webgl_there_is_a_sentence(page: Path) -> None:
+def test_without_webgl_the_page_shows_a_warning(page: Path) -> None:
     with browser(webgl=False) as driver:
         driver.get(page.as_uri())
         assert viewer_state(driver) == "unavailable"
@@ -107,7 +107,7 @@ def set_width(driver: webdriver.Chrome, width: int) -> None:
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_nothing_sticks_out_at_the_side(page: Path, width: int) -> None:
+def test_the_page_has_no_horizontal_overflow(page: Path, width: int) -> None:
     with browser() as driver:
         set_width(driver, width)
         driver.get(page.as_uri())
@@ -129,7 +129,7 @@ return [e.tagName, e.id || e.className, (e.getAttribute("aria-label") || e.textC
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_runs_compared_on_any_screen(page: Path, width: int) -> None:
+def test_the_comparison_fits_any_screen(page: Path, width: int) -> None:
     with browser() as driver:
         set_width(driver, width)
         driver.get((page.parent / "comparison.html").as_uri())
@@ -143,7 +143,7 @@ def test_runs_compared_on_any_screen(page: Path, width: int) -> None:
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_all_that_can_be_used_is_reached_by_keyboard(page: Path, width: int) -> None:
+def test_the_keyboard_reaches_all_controls(page: Path, width: int) -> None:
     with browser() as driver:
         set_width(driver, width)
         driver.get(page.as_uri())
@@ -182,7 +182,7 @@ def test_arrow_keys_turn_the_object(page: Path) -> None:
         WebDriverWait(driver, PATIENCE).until(lambda _: canvas.screenshot_as_png != before)
 
 
-def test_what_a_screen_reader_is_told(page: Path) -> None:
+def test_the_accessibility_tree(page: Path) -> None:
     """Check the accessibility tree: landmarks, headings in order, names of all pictures."""
     with browser() as driver:
         driver.get(page.as_uri())

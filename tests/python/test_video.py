@@ -1,4 +1,4 @@
-"""Score videos that the project renders: turns, boxes, labels, tracking, bad files."""
+"""Score rendered videos: turntables, boxes, labels, tracking, bad files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def ffmpeg(*words: object) -> None:
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a video of a turn in 2 s, blurred and compressed."""
+    """Return a turntable video of 2 s, blurred and compressed."""
     folder = tmp_path_factory.mktemp("video")
     obj = write_asset(folder)
     done = tt3d(
@@ -117,7 +117,7 @@ def test_a_moving_camera_in_blender_before_two_backgrounds(tmp_path: Path) -> No
     assert min(np.abs(a - b).mean() for a, b in itertools.pairwise(frames)) > 1
 
 
-def test_rotation_of_a_phone_is_obeyed(video: Path, tmp_path: Path) -> None:
+def test_the_rotation_tag_of_a_phone_is_applied(video: Path, tmp_path: Path) -> None:
     """A frame of 96 x 64 is upright when rotated clockwise: the red edge is at the top."""
     picture = np.zeros((64, 96, 3), np.uint8)
     picture[:, :16] = (255, 0, 0)
@@ -198,7 +198,7 @@ def test_memory_does_not_grow_with_the_video(tmp_path: Path) -> None:
 
 
 def test_ten_minutes_of_4k_take_seconds(tmp_path: Path) -> None:
-    """36,000 frames of 4K are sought; decoding all would take many minutes."""
+    """Seek in 36,000 frames of 4K; decoding all frames would take many minutes."""
     ffmpeg("-f", "lavfi", "-i", "color=teal:size=3840x2160:rate=60:duration=2", "-preset",
            "ultrafast", tmp_path / "two.mp4")  # fmt: skip
     (tmp_path / "list.txt").write_text("file two.mp4\n" * 300)
@@ -212,7 +212,7 @@ def test_ten_minutes_of_4k_take_seconds(tmp_path: Path) -> None:
     assert spent < 200  # processor seconds; decoding all frames takes thousands
 
 
-def test_frames_far_apart_are_those_of_their_time(tmp_path: Path) -> None:
+def test_frames_far_apart_have_the_right_time(tmp_path: Path) -> None:
     """In a minute that brightens evenly, every sixth second is sampled."""
     from video_frames import sample
 

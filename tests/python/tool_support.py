@@ -1,4 +1,4 @@
-"""Helpers of the tests of tools: the program, and an asset without symmetry."""
+"""Helpers for the tests of the tools: the program, and an asset without symmetry."""
 
 from __future__ import annotations
 

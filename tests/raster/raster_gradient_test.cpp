@@ -5,7 +5,7 @@
 #include "support/shapes.h"
 #include "tt3d/raster.h"
 
-namespace tt3d {
+namespace tt3d::raster {
 namespace {
 
 using testing::gradient_error;
@@ -27,8 +27,8 @@ TEST(RasterGradient, BarycentricsAgainstCentralDifferences) {
   const at::Tensor faces = scene_faces();
   const at::Tensor fixed = rasterize(scene_clip(), faces, kSize, kSize);
   const at::Tensor weight = uniform({2, kSize, kSize, 2}, -1, 1, 13);
-  // Pixels whose triangle changes under the step are discontinuities of u, v: none here, which
-  // the constant index confirms.
+  // u and v are discontinuous at a pixel whose triangle changes under the step. No pixel does so
+  // here: the index stays constant.
   const double error = gradient_error(
       [&](const std::vector<at::Tensor>& in) {
         const at::Tensor rast = rasterize(in[0], faces, kSize, kSize);
@@ -91,7 +91,7 @@ TEST(RasterGradient, PaintedPixelsAgainstCentralDifferences) {
   const at::Tensor pixels = at::tensor({7, 2, 11, 0}, at::kLong);
   for (const int64_t channels : {3, 6}) {
     const at::Tensor colors = testing::uniform({channels, 4}, 0, 1, 41);
-    // In plain tensor operations: rows of colours, alpha in the fourth column.
+    // Plain tensor operations: rows of colours, alpha in the fourth column.
     const at::Tensor rows = colors.t();
     const at::Tensor shown = at::cat(
         {rows.narrow(1, 0, 3), at::ones({4, 1}, rows.options()), rows.narrow(1, 3, channels - 3)},
@@ -115,7 +115,7 @@ TEST(RasterGradient, AntialiasAgainstCentralDifferences) {
   const at::Tensor faces = scene_faces();
   const at::Tensor twins = edge_twins(faces);
   const at::Tensor weight = uniform({2, kSize, kSize, 2}, -1, 1, 16);
-  // Coverage is frozen: the crossing positions alone carry the gradient, as documented.
+  // Coverage is frozen: only the crossing positions carry the gradient, as documented.
   const at::Tensor rast = rasterize(scene_clip(), faces, kSize, kSize);
   const double error = gradient_error(
       [&](const std::vector<at::Tensor>& in) {
@@ -126,7 +126,8 @@ TEST(RasterGradient, AntialiasAgainstCentralDifferences) {
 }
 
 TEST(RasterGradient, AreaOfADiscFollowsItsRadius) {
-  // d(area)/d(radius) of an antialiased disc is its circumference: the promise of silhouettes.
+  // d(area)/d(radius) of an antialiased disc is its circumference; the silhouette gradient must
+  // give it.
   const testing::Shape shape = testing::sphere(4);
   const at::Tensor twins = edge_twins(shape.faces);
   at::Tensor radius = at::full({}, 0.7, at::kDouble).requires_grad_(true);
@@ -177,4 +178,4 @@ TEST(RasterGradient, AttributeDerivativesAgainstNeighbouringPixels) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::raster

@@ -1,4 +1,5 @@
 #include "raster/raster_reference.h"
+#include "tt3d/raster.h"
 
 namespace tt3d::testing {
 namespace {

@@ -8,13 +8,13 @@
 #include "raster/raster_reference.h"
 #include "support/shapes.h"
 
-namespace tt3d {
+namespace tt3d::raster {
 namespace {
 
 using testing::make_shape;
 using testing::Shape;
 
-/// Orthographic-like clip coordinates: x, y as they are, w = 1.
+/// Orthographic clip coordinates: x, y unchanged, w = 1.
 at::Tensor flat_clip(const std::vector<std::array<float, 3>>& points) {
   at::Tensor clip = at::ones({1, static_cast<int64_t>(points.size()), 4});
   for (size_t i = 0; i < points.size(); ++i) {
@@ -102,7 +102,8 @@ TEST(Rasterize, AgreesWithTheReferenceOnASphere) {
 }
 
 TEST(Rasterize, InterpolationIsPerspectiveCorrect) {
-  // A square tilted away from the camera: world position of a pixel is known by intersection.
+  // A square tilted away from the camera: the world position at a pixel is a ray-plane
+  // intersection.
   const Shape quad =
       make_shape({{-1, -1, 1}, {1, -1, -2}, {1, 1, -2}, {-1, 1, 1}}, {{0, 1, 2}, {0, 2, 3}});
   const at::Tensor clip = perspective(quad.vertices, 1.0);
@@ -137,8 +138,9 @@ TEST(Rasterize, NearerTriangleWinsWhateverTheOrder) {
 }
 
 TEST(Rasterize, LowerIndexWinsAtEqualDepthWhicheverIsDrawnFirst) {
-  // One triangle twice; its depths have exact sums. Far triangles are drawn after near ones, and
-  // the first vertex decides which a triangle is: here (a,b,c) is near and (b,c,a) far.
+  // The same triangle twice, with depths whose sums are exact. Far triangles are drawn after near
+  // ones, and the first vertex decides whether a triangle is far: (a,b,c) is near here and (b,c,a)
+  // far.
   const at::Tensor clip = at::tensor({-1.0F, -1.0F, -0.5F, 1.0F,  //
                                       1.0F, -1.0F, 0.5F, 1.0F,    //
                                       -1.0F, 1.0F, -0.5F, 1.0F})
@@ -151,7 +153,7 @@ TEST(Rasterize, LowerIndexWinsAtEqualDepthWhicheverIsDrawnFirst) {
 }
 
 TEST(Rasterize, ManyTrianglesShowWhatTheNearestAloneShows) {
-  // Counts around those that are set up together; small ones, large ones, some behind the camera.
+  // Counts around the size of a batch; small triangles, large ones, some behind the camera.
   for (const int64_t count : {1, 2, 3, 5, 8, 9, 63, 64, 65, 131}) {
     at::Tensor clip = testing::uniform({1, 3 * count, 4}, -1, 1, static_cast<uint64_t>(count));
     clip.select(2, 3).add_(0.8);
@@ -194,7 +196,7 @@ TEST(Rasterize, TriangleThroughTheCameraPlaneShowsItsFrontPart) {
   EXPECT_EQ(hit.narrow(1, 0, 8).sum().item<int64_t>(), 0);
 }
 
-/// With few vertices a view's pixels are dealt out in parts, with many they are not.
+/// With few vertices a view's pixels are split into parts, with many they are not.
 class Threads : public ::testing::TestWithParam<int> {};
 INSTANTIATE_TEST_SUITE_P(CoarseAndFine, Threads, ::testing::Values(1, 4));
 
@@ -249,7 +251,7 @@ TEST(Antialias, SilhouettesDoNotDependOnOrientation) {
 }
 
 TEST(Antialias, CoverageOfAHalfPlaneIsItsArea) {
-  // A rectangle whose right side cuts a pixel column at a known share.
+  // A rectangle whose right side crosses a pixel column at a known fraction.
   for (const double share : {0.1, 0.3, 0.5, 0.7, 0.9}) {
     const auto right = static_cast<float>((4 + share) / 4.0 - 1);
     const at::Tensor clip = flat_clip({{-3, -3, 0}, {right, -3, 0}, {right, 3, 0}, {-3, 3, 0}});
@@ -269,7 +271,7 @@ TEST(Antialias, InnerEdgesStaySharp) {
   const at::Tensor rast = rasterize(clip, shape.faces, 48, 48);
   const at::Tensor color = rast.narrow(-1, 3, 1).contiguous();
   const at::Tensor out = antialias(color, rast, clip, shape.faces, edge_twins(shape.faces));
-  // Well inside the disc nothing changes although triangles differ from pixel to pixel.
+  // Well inside the disc nothing changes, although triangles differ from pixel to pixel.
   EXPECT_TRUE(at::equal(out.narrow(1, 18, 12).narrow(2, 18, 12),
                         color.narrow(1, 18, 12).narrow(2, 18, 12)));
   EXPECT_FALSE(at::equal(out, color));
@@ -300,4 +302,4 @@ TEST(Texture, DistantCheckerboardIsGrey) {
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::raster

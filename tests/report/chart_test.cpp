@@ -4,6 +4,7 @@
 
 #include "report/chart.h"
 #include "report/curves.h"
+#include "tt3d/report.h"
 
 namespace tt3d::report {
 namespace {
@@ -30,7 +31,7 @@ TEST(Chart, ThinningKeepsTheMean) {
   EXPECT_DOUBLE_EQ(thin.x.front(), 4.5);
 }
 
-TEST(Chart, PointsLieWhereTheAxesSay) {
+TEST(Chart, PointsAgreeWithTheAxes) {
   const Chart chart{"t", "x", "y", {{"s", {0, 10}, {0, 1}}}, std::pair{0.0, 1.0}, false, true};
   const std::string svg = chart_figure(chart);
   EXPECT_NE(svg.find("d=\"M78.0 254.0L506.0 14.0\""), std::string::npos) << svg;
@@ -45,15 +46,22 @@ TEST(Chart, LogarithmicAxesHaveRoundTicks) {
   }
 }
 
-TEST(Chart, WithoutPointsThereIsNone) {
+TEST(Chart, IsEmptyWithoutPoints) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   EXPECT_EQ(chart_figure({"t", "x", "y", {{"s", {1, 2}, {nan, 3}}}, {}, false, false}), "");
   EXPECT_EQ(chart_figure({"t", "x", "y", {{"s", {1, 2}, {0, -3}}}, {}, true, false}), "");
-  EXPECT_EQ(curve_charts(""), "");
+  EXPECT_EQ(curve_charts({}), "");
 }
 
-TEST(Curves, FlatBrokenAndMissingColumns) {
-  const std::string html = curve_charts("step,loss,success\r\n0,2.5,0\r\n1,nan,0\r\n2,2.5,1\r\n3");
+TEST(Curves, ColumnsMayBeFlatEmptyOrNotFinite) {
+  record::Curves curves(3);
+  for (size_t i = 0; i < 3; ++i) {
+    curves[i].step = static_cast<int64_t>(i);
+    curves[i].loss = 2.5;
+  }
+  curves[1].loss = std::numeric_limits<double>::quiet_NaN();
+  curves[2].success = 1;
+  const std::string html = curve_charts(curves);
   EXPECT_NE(html.find("<figcaption>Loss</figcaption>"), std::string::npos);
   EXPECT_NE(html.find("Success on the views"), std::string::npos);
   EXPECT_EQ(html.find("Regularisers"), std::string::npos);

@@ -2,14 +2,16 @@
 
 #include <gtest/gtest.h>
 
+#include <nlohmann/json.hpp>
+
 #include <set>
 
 #include "support/temporary_folder.h"
 
-namespace tt3d {
+namespace tt3d::run {
 namespace {
 
-/// The message of the InputError that loading this TOML gives; "" if it loads.
+/// The message of the InputError of loading this TOML; "" if it loads.
 std::string error_of(const std::string& toml) {
   testing::TemporaryFolder folder;
   write_file_atomic(folder / "c.toml", toml);
@@ -46,21 +48,22 @@ TEST(Config, WrongTypeAndRange) {
 
 TEST(Config, EveryKeySurvivesARoundTrip) {
   RunConfig config;
-  set_config(config, "seed=7");
-  set_config(config, "attack.target=teapot");
-  set_config(config, "attack.surrogates=[\"a\", \"b\"]");
-  set_config(config, "mesh.remesh_at=[0.25]");
+  set_all(config, {std::string("seed=7")});
+  set_all(config, {std::string("attack.target=teapot")});
+  set_all(config, {std::string("attack.surrogates=[\"a\", \"b\"]")});
+  set_all(config, {std::string("mesh.remesh_at=[0.25]")});
   testing::TemporaryFolder folder;
   write_file_atomic(folder / "c.toml", config_toml(config));
   const RunConfig back = load_config(folder / "c.toml");
-  const auto a = config_keys(config), b = config_keys(back);
-  ASSERT_EQ(a.size(), b.size());
-  for (size_t i = 0; i < a.size(); ++i) EXPECT_EQ(a[i].value, b[i].value) << a[i].name;
+  EXPECT_EQ(config_json(back), config_json(config));
+  EXPECT_EQ(config_json(config_from_json(config_json(config), "run.json")), config_json(config));
 }
 
 TEST(Config, KeysAreDocumentedAndUnique) {
   std::set<std::string> names;
-  for (const ConfigKey& key : config_keys({})) {
+  RunConfig defaults;
+  const KeyList keys = keys_of(defaults);
+  for (const Key& key : keys.all()) {
     EXPECT_TRUE(names.insert(key.name).second) << key.name;
     EXPECT_FALSE(key.meaning.empty()) << key.name;
   }
@@ -72,9 +75,13 @@ TEST(Config, KeysAreDocumentedAndUnique) {
 }
 
 TEST(Config, ShippedConfigurationsLoad) {
-  for (const char* name : {"demo.toml", "paper.toml"}) {
-    EXPECT_NO_THROW((void)load_config(std::string(TT3D_SOURCE_DIR) + "/configs/" + name)) << name;
-  }
+  const std::string folder = std::string(TT3D_SOURCE_DIR) + "/configs/";
+  const RunConfig demo = load_config(folder + "demo.toml");
+  EXPECT_EQ(demo.attack.target, "teapot");
+  EXPECT_TRUE(std::filesystem::exists(demo.capture.path)) << demo.capture.path;
+  const RunConfig paper = load_config(folder + "paper.toml");
+  EXPECT_EQ(paper.attack.options.schedule.steps, 25000);
+  EXPECT_EQ(paper.field.steps, 15000);
 }
 
 TEST(Config, RelativePathsAreRelativeToTheFile) {
@@ -84,100 +91,141 @@ TEST(Config, RelativePathsAreRelativeToTheFile) {
             std::filesystem::weakly_canonical(folder / "photos"));
 }
 
-TEST(Config, SetTakesTomlAndBareWords) {
+TEST(Config, SetAcceptsTomlAndBareWords) {
   RunConfig config;
-  set_config(config, "attack.target=n04398044");
-  EXPECT_EQ(config.attack_target, "n04398044");
-  EXPECT_THROW(set_config(config, "attack.beta"), InputError);
-  EXPECT_THROW(set_config(config, "attack.beta=much"), InputError);
+  set_all(config, {std::string("attack.target=n04398044")});
+  EXPECT_EQ(config.attack.target, "n04398044");
+  EXPECT_THROW(set_all(config, {std::string("attack.beta")}), InputError);
+  EXPECT_THROW(set_all(config, {std::string("attack.beta=much")}), InputError);
 }
 
-TEST(Config, APresetSetsItsKeysAndGivenOnesWin) {
+TEST(Config, APresetSetsAllItsKeysExceptGivenOnes) {
   const auto steps_and_beta = [](const std::string& toml) {
     testing::TemporaryFolder folder;
     write_file_atomic(folder / "c.toml", toml);
-    return load_config(folder / "c.toml").attack;
+    return load_config(folder / "c.toml").attack.options;
   };
-  const AttackOptions plain = steps_and_beta("[attack]\nmethod = \"paper\"\n");
-  EXPECT_EQ(plain.steps, 25000);
-  EXPECT_EQ(plain.objective, "cross-entropy");
-  EXPECT_EQ(plain.view_distribution, "paper");
-  // Whatever the order; also where the given value is the program's default.
-  const AttackOptions given =
+  const attack::AttackOptions plain = steps_and_beta("[attack]\nmethod = \"paper\"\n");
+  EXPECT_EQ(plain.schedule.steps, 25000);
+  EXPECT_EQ(plain.objective.loss, attack::Objective::kCrossEntropy);
+  EXPECT_EQ(plain.schedule.view_distribution, scene::ViewDistribution::kPaper);
+  // For any order, and also if the given value equals the default.
+  const attack::AttackOptions given =
       steps_and_beta("[attack]\nsteps = 450\nmethod = \"paper\"\nviews_per_step = 6\n");
-  EXPECT_EQ(given.steps, RunConfig().attack.steps);
-  EXPECT_EQ(given.views_per_step, 6);
-  EXPECT_EQ(given.image_size, 400);
+  EXPECT_EQ(given.schedule.steps, RunConfig().attack.options.schedule.steps);
+  EXPECT_EQ(given.schedule.views_per_step, 6);
+  EXPECT_EQ(given.schedule.image_size, 400);
 }
 
-TEST(Config, AnotherPresetTakesBackWhatTheFirstSet) {
+TEST(Config, AnotherPresetResetsTheKeysOfTheFirst) {
   RunConfig config;
-  set_config(config, "attack.method=paper");
-  set_all(config, {"attack.beta=7", "attack.method=mesh"});
-  EXPECT_EQ(config.attack.steps, RunConfig().attack.steps);
-  EXPECT_EQ(config.attack.beta, 7);
-  EXPECT_EQ(config.attack.optimize, (std::vector<std::string>{"vertex-colors", "vertices"}));
-  set_config(config, "attack.method=dual");
-  EXPECT_EQ(config.attack.optimize, RunConfig().attack.optimize);
-  EXPECT_EQ(config.attack.beta, 7);
+  set_all(config, {std::string("attack.method=paper")});
+  set_all(config, std::vector<std::string>{"attack.beta=7", "attack.method=mesh"});
+  EXPECT_EQ(config.attack.options.schedule.steps, RunConfig().attack.options.schedule.steps);
+  EXPECT_EQ(config.attack.options.naturalness.beta, 7);
+  EXPECT_EQ(config.attack.options.optimize,
+            (std::vector{object::Part::kVertexColors, object::Part::kVertices}));
+  set_all(config, {std::string("attack.method=dual")});
+  EXPECT_EQ(config.attack.options.optimize, RunConfig().attack.options.optimize);
+  EXPECT_EQ(config.attack.options.naturalness.beta, 7);
 }
 
-TEST(Config, RelationsOfAssignmentsHoldAtTheEnd) {
+TEST(Config, RelationsBetweenKeysAreCheckedAfterAllAssignments) {
   RunConfig config;
-  set_all(config, {"attack.eot.scale_low=2", "attack.eot.scale_high=3"});
-  EXPECT_EQ(config.attack.eot.scale_low, 2);
-  EXPECT_THROW(set_config(config, "attack.eot.scale_low=4"), InputError);
+  set_all(config, std::vector<std::string>{"attack.eot.scale_low=2", "attack.eot.scale_high=3"});
+  EXPECT_EQ(config.attack.options.eot.scale_low, 2);
+  EXPECT_THROW(set_all(config, {std::string("attack.eot.scale_low=4")}), InputError);
 }
 
 TEST(Config, UntargetedNeedsTheTrueClass) {
   RunConfig config;
-  config.attack.goal = "untargeted";
-  config.attack_target = "teapot";
+  config.attack.options.objective.goal = attack::Goal::kUntargeted;
+  config.attack.target = "teapot";
   EXPECT_THROW((void)class_of_objective(config), InputError);
-  config.true_class = "hen";
+  config.evaluate.true_class = "hen";
   EXPECT_EQ(class_of_objective(config), "hen");
-  config.attack.goal = "targeted";
+  config.attack.options.objective.goal = attack::Goal::kTargeted;
   EXPECT_EQ(class_of_objective(config), "teapot");
 }
 
-TEST(RunFolder, ChangedConfigurationIsRefusedWithTheKeys) {
+TEST(RunFolder, AChangedConfigurationIsAnErrorThatNamesTheKeys) {
   testing::TemporaryFolder folder;
   RunConfig config;
-  { const tt3d::Run run(folder / "r", config, false); }
-  config.attack.beta = 5;
+  { const run::Run run(folder / "r", config, false); }
+  config.attack.options.naturalness.beta = 5;
   try {
-    const tt3d::Run run(folder / "r", config, false);
+    const run::Run run(folder / "r", config, false);
     FAIL();
   } catch (const InputError& error) {
     expect_contains(error.what(), {"attack.beta", "1000.0", "5.0", "--restart"});
   }
-  const tt3d::Run run(folder / "r", config, true);
-  EXPECT_EQ(run.config().attack.beta, 5);
+  const run::Run run(folder / "r", config, true);
+  EXPECT_EQ(run.config().attack.options.naturalness.beta, 5);
 }
 
-TEST(RunFolder, TwoProgramsDoNotShareIt) {
+TEST(RunFolder, TwoProcessesCannotUseItAtTheSameTime) {
   testing::TemporaryFolder folder;
-  const tt3d::Run run(folder / "r", {}, false);
-  EXPECT_THROW(tt3d::Run(folder / "r", {}, false), InputError);
+  const run::Run run(folder / "r", {}, false);
+  EXPECT_THROW(run::Run(folder / "r", {}, false), InputError);
 }
 
 TEST(RunFolder, OpenRestoresTheConfiguration) {
   testing::TemporaryFolder folder;
   RunConfig config;
-  config.attack.steps = 17;
-  config.attack_surrogates = {"x y", "z"};
-  set_config(config, "attack.beta=3");
-  { const tt3d::Run run(folder / "r", config, false); }
-  const tt3d::Run run = tt3d::Run::open(folder / "r");
-  EXPECT_EQ(run.config().attack.steps, 17);
-  EXPECT_EQ(run.config().attack_surrogates[0], "x y");
+  config.attack.options.schedule.steps = 17;
+  config.attack.surrogates = {"x y", "z"};
+  set_all(config, {std::string("attack.beta=3")});
+  { const run::Run run(folder / "r", config, false); }
+  const run::Run run = run::Run::open(folder / "r");
+  EXPECT_EQ(run.config().attack.options.schedule.steps, 17);
+  EXPECT_EQ(run.config().attack.surrogates[0], "x y");
   EXPECT_EQ(run.config().given, config.given);
-  EXPECT_THROW(tt3d::Run::open(folder / "none"), InputError);
+  EXPECT_THROW((void)run::Run::open(folder / "none"), InputError);
 }
 
-TEST(RunFolder, ReadOnlyPlaceIsAResourceError) {
-  EXPECT_THROW(tt3d::Run("/proc/tt3d-run", {}, false), ResourceError);
+TEST(RunFolder, RunJsonHoldsTypedValues) {
+  testing::TemporaryFolder folder;
+  { const run::Run run(folder / "r", {}, false); }
+  const auto config = nlohmann::json::parse(read_file(folder / "r/run.json"))["config"];
+  EXPECT_TRUE(config["attack.steps"].is_number_integer());
+  EXPECT_TRUE(config["attack.beta"].is_number_float());
+  EXPECT_TRUE(config["attack.surrogates"].is_array());
+  EXPECT_TRUE(config["evaluate.geometry"].is_boolean());
+  EXPECT_EQ(config["attack.objective"], "logit");
+}
+
+TEST(RunFolder, AMalformedRecordIsAnErrorWithFileAndKey) {
+  testing::TemporaryFolder folder;
+  const auto error_of_open = [&](const std::string& text) {
+    write_file_atomic(folder / "r/run.json", text);
+    try {
+      (void)run::Run::open(folder / "r");
+      return std::string();
+    } catch (const InputError& error) {
+      return std::string(error.what());
+    }
+  };
+  expect_contains(error_of_open(R"({"config": [], "seed": 1})"), {"run.json: config"});
+  expect_contains(
+      error_of_open(
+          R"({"config": {"attack.steps": "450"}, "seed": 1, "versions": {}, "inputs": {}, "stages": []})"),
+      {"run.json", "attack.steps", "integer"});
+}
+
+TEST(RunFolder, TheTableOfStagesIsConsistent) {
+  std::set<std::string> names;
+  for (const Stage& stage : stages()) {
+    EXPECT_TRUE(names.insert(stage.name).second);
+    // A stage writes into its own folder only, so its product is in this folder.
+    if (!stage.folder.empty()) {
+      EXPECT_EQ(*stage.product.begin(), stage.folder) << stage.name;
+    }
+  }
+}
+
+TEST(RunFolder, AReadOnlyParentIsAResourceError) {
+  EXPECT_THROW(run::Run("/proc/tt3d-run", {}, false), ResourceError);
 }
 
 }  // namespace
-}  // namespace tt3d
+}  // namespace tt3d::run

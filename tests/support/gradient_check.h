@@ -40,7 +40,8 @@ inline double gradient_error(const ScalarFunction& function, std::vector<at::Ten
   return worst;
 }
 
-/// Cosine between two tensors seen as vectors: direction, which an element-wise bound can hide.
+/// Cosine between two tensors as vectors. It checks the direction, which an element-wise bound does
+/// not.
 inline double cosine(const at::Tensor& a, const at::Tensor& b) {
   const at::Tensor x = a.flatten().to(at::kDouble), y = b.flatten().to(at::kDouble);
   return (x.dot(y) / (x.norm() * y.norm() + 1e-30)).item<double>();

@@ -67,7 +67,7 @@ inline Shape sphere(int levels, float radius = 1) {
   return make_shape(v, f);
 }
 
-/// Uniform numbers in [low, high), from a seeded stream.
+/// Uniform numbers in [low, high) from a seeded stream.
 inline at::Tensor uniform(at::IntArrayRef shape, double low, double high, uint64_t seed) {
   at::Tensor t = at::empty(shape, at::kDouble);
   Random random(seed, "test");

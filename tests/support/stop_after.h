@@ -4,7 +4,7 @@
 
 namespace tt3d::testing {
 
-/// Stops the work after a number of updates, as Ctrl-C would.
+/// Stops the work after a number of updates, like Ctrl-C.
 struct StopAfter : Progress {
   explicit StopAfter(int n) : left(n) {}
   void update(int64_t, const Metrics&) override { --left; }

@@ -6,21 +6,23 @@
 #include <cmath>
 
 #include "tt3d/capture.h"
+#include "tt3d/scene.h"
 
 namespace tt3d::testing {
 
-/// A capture in memory: a ball of radius 0.6 whose colour tells where on it a point lies
-/// (rgb = 0.5 + 0.5 * unit position), photographed from `views` directions at size x size, every
-/// fourth view held out. The pictures are exact: ray against sphere, four samples a pixel.
-inline Capture ball_capture(int views, int size) {
+/// A capture in memory: a ball of radius 0.6 whose colour encodes the position on it (rgb = 0.5 +
+/// 0.5 * unit position), in `views` photographs of size x size from different directions. Every
+/// fourth view is a test view. The pictures are exact: ray-sphere intersection, four samples per
+/// pixel.
+inline capture::Capture ball_capture(int views, int size) {
   constexpr double kRadius = 0.6;
-  const ViewFrame frame = {{0, 0, 0}, 1, 3.2, 40};
-  Capture capture;
+  const scene::ViewFrame frame = {{0, 0, 0}, 1, 3.2, 40};
+  capture::Capture capture;
   capture.has_masks = true;
-  capture.format = "synthetic";
-  const auto cameras = sample_views("sphere", 11, 0, views, size, frame);
+  const auto cameras =
+      scene::sample_views(scene::ViewDistribution::kSphere, 11, 0, views, size, frame);
   for (int i = 0; i < views; ++i) {
-    View view;
+    capture::View view;
     view.name = "ball_" + std::to_string(i);
     view.camera = cameras[static_cast<size_t>(i)].camera;
     view.rgba = at::zeros({size, size, 4}, at::kByte);

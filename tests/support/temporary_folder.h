@@ -7,7 +7,7 @@
 
 namespace tt3d::testing {
 
-/// A fresh folder, removed with all it holds at the end of the scope.
+/// A new folder, removed with its contents at the end of the scope.
 class TemporaryFolder {
  public:
   TemporaryFolder() {

@@ -13,24 +13,24 @@
 #include "tt3d/error.h"
 #include "tt3d/philox.h"
 
-/// What every room shares: progress and cancel, seeded random streams, atomic files, hashes,
-/// child processes. The library never prints; it reports through Progress.
+/// What all rooms share: progress and cancel, seeded random streams, atomic files, hashes, child
+/// processes. The library never prints; it reports through Progress.
 namespace tt3d {
 
 // ---- Progress and cancel ------------------------------------------------------------------
 
-/// Named figures shown next to a progress bar, e.g. {"psnr", 31.2}.
+/// Named figures next to a progress bar, e.g. {"psnr", 31.2}.
 using Metrics = std::vector<std::pair<std::string, double>>;
 
-/// Where long work reports to, and where it learns that it should stop. The default does nothing.
+/// Long work reports to this, and asks it whether to stop. The default does nothing.
 class Progress {
  public:
   virtual ~Progress() = default;
-  /// A stage of `total` steps begins, the first `done` of which are already there (resume).
+  /// A stage of `total` steps begins; the first `done` steps are complete already (resume).
   virtual void begin(std::string_view stage, int64_t total, int64_t done) {
     (void)stage, (void)total, (void)done;
   }
-  /// `done` of the steps are complete; `metrics` are the latest figures that matter.
+  /// `done` of the steps are complete; `metrics` are the latest figures.
   virtual void update(int64_t done, const Metrics& metrics) { (void)done, (void)metrics; }
   /// The stage ended.
   virtual void end() {}
@@ -44,23 +44,11 @@ class Progress {
   }
 };
 
-/// What is done about a loss that is not finite: back to the last good state, on with half the
-/// learning rates, three times at most.
-struct Recovery {
-  int rollbacks = 0;
-  double rate_scale = 1;  ///< of the learning rates
-
-  /// The state of things after one more divergence, of `stage` at `step`. Notes it in `progress`;
-  /// throws NumericError with `advice` where three roll-backs did not help.
-  [[nodiscard]] Recovery after_divergence(std::string_view stage, int64_t step,
-                                          std::string_view advice, Progress& progress) const;
-};
-
 // ---- Randomness ---------------------------------------------------------------------------
 
-/// Counter-based random numbers (Philox4x32-10; Salmon et al., "Parallel random numbers: as easy
-/// as 1, 2, 3", SC 2011), keyed by (seed, stream, step): no global state, the same numbers on
-/// any machine, and any step can be drawn without the ones before it.
+/// Counter-based random numbers (Philox4x32-10; Salmon et al., "Parallel random numbers: as easy as
+/// 1, 2, 3", SC 2011), keyed by (seed, stream, step). There is no global state, every machine draws
+/// the same numbers, and any step can be drawn without the earlier ones.
 class Random {
  public:
   Random(uint64_t seed, std::string_view stream, uint64_t step = 0);
@@ -75,7 +63,7 @@ class Random {
   double normal();
   /// Uniform integer in [0, n); n > 0.
   int64_t index(int64_t n);
-  /// The stream from its beginning, for kernels.
+  /// The key of the stream, for kernels; it counts from the beginning.
   [[nodiscard]] RandomKey key() const { return key_; }
 
  private:
@@ -93,16 +81,16 @@ class Random {
 /// Whole file as bytes. Throws InputError if it cannot be read.
 [[nodiscard]] std::string read_file(const std::filesystem::path& path);
 
-/// Writes through a temporary file in the same folder, fsync and rename, so that the path holds
-/// either the old or the new content, never half. Creates the parent folder. Throws
-/// ResourceError (full disk, read-only folder).
+/// Writes a temporary file in the same folder, then fsync and rename. The path holds either the old
+/// or the new content, never a part. Creates the parent folder. Throws ResourceError (full disk,
+/// read-only folder).
 void write_file_atomic(const std::filesystem::path& path, std::string_view bytes);
 
-/// The same for writers that want a path: `write` fills the temporary file it is given.
+/// The same for writers that need a path: `write` fills the temporary file.
 void write_file_atomic(const std::filesystem::path& path,
                        const std::function<void(const std::filesystem::path& temporary)>& write);
 
-/// Creates a folder and its parents; throws ResourceError where that fails.
+/// Creates a folder and its parents; throws ResourceError if that fails.
 void make_folder(const std::filesystem::path& path);
 
 /// SHA-256 as 64 lower-case hex digits.
@@ -111,8 +99,8 @@ void make_folder(const std::filesystem::path& path);
 
 // ---- Texts --------------------------------------------------------------------------------
 
-/// The candidate with the smallest edit distance to `word`, or "" when none is near (distance
-/// over a third of the longer word).
+/// The candidate with the smallest edit distance to `word`, or "" if that distance exceeds a third
+/// of the longer word.
 [[nodiscard]] std::string nearest_name(std::string_view word,
                                        std::span<const std::string> candidates);
 
@@ -121,23 +109,23 @@ void make_folder(const std::filesystem::path& path);
 
 // ---- Child processes ----------------------------------------------------------------------
 
-/// What a finished child process left.
+/// The result of a finished child process.
 struct ProcessResult {
-  int exit_code = 0;       ///< 128+signal when it was killed
-  bool timed_out = false;  ///< ended by us at the time limit
+  int exit_code = 0;       ///< 128 + signal if it was killed
+  bool timed_out = false;  ///< ended at the time limit
   std::string output;      ///< stdout and stderr, together
 };
 
-/// Runs `command` (argv, no shell) with a time limit in seconds and ends it beyond that.
-/// Throws MissingToolError if the program does not exist.
+/// Runs `command` (argv, no shell) and ends it at the time limit (seconds). Throws MissingToolError
+/// if the program does not exist.
 [[nodiscard]] ProcessResult run_process(const std::vector<std::string>& command,
                                         double time_limit_seconds);
 
 /// Seconds on a monotonic clock.
 [[nodiscard]] double now_seconds() noexcept;
 
-/// Peak resident memory of this process in bytes; reset_peak_memory starts a new interval
-/// where the kernel allows it (Linux, /proc/self/clear_refs).
+/// Peak resident memory of this process in bytes. reset_peak_memory starts a new interval if the
+/// kernel allows it (Linux, /proc/self/clear_refs).
 [[nodiscard]] int64_t peak_memory_bytes() noexcept;
 void reset_peak_memory() noexcept;
 

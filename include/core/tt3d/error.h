@@ -4,15 +4,16 @@
 #include <stdexcept>
 #include <string>
 
-/// Every failure a user can cause is one of these types, with one line of text that names the
-/// file, the line or key, what was expected and what to do. The program maps them to exit codes.
+/// Every failure that a user can cause is one of these types. Its message is one line that names
+/// the file, the line or key, what was expected and what to do. The program maps the types to exit
+/// codes.
 namespace tt3d {
 
 /// Base of all tt3d errors.
 class Error : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
-  /// Exit code of the program (design, section 7).
+  /// Exit code of the program (docs/architecture.md).
   [[nodiscard]] virtual int exit_code() const noexcept { return 1; }
 };
 
@@ -37,7 +38,7 @@ class MissingToolError : public Error {
   [[nodiscard]] int exit_code() const noexcept override { return 3; }
 };
 
-/// An optimisation diverged and could not be rolled back to health. Exit code 4.
+/// An optimisation diverged and going back to an earlier state did not help. Exit code 4.
 class NumericError : public Error {
  public:
   using Error::Error;
@@ -51,7 +52,7 @@ class ResourceError : public Error {
   [[nodiscard]] int exit_code() const noexcept override { return 5; }
 };
 
-/// The user asked to stop; whatever was checkpointed can be resumed. Exit code 130.
+/// The user asked to stop. Work that was checkpointed can be resumed. Exit code 130.
 class Interrupted : public Error {
  public:
   Interrupted() : Error("interrupted; run the same command again to go on") {}

@@ -2,9 +2,9 @@
 
 #include <cstdint>
 
-/// The counter-based generator under tt3d::Random (Philox4x32-10; Salmon et al., "Parallel random
-/// numbers: as easy as 1, 2, 3", SC 2011), as constant expressions, so that kernels on any device
-/// draw any number of a stream without those before it.
+/// The counter-based generator of tt3d::Random (Philox4x32-10; Salmon et al., "Parallel random
+/// numbers: as easy as 1, 2, 3", SC 2011), as constant expressions. A kernel on any device can draw
+/// any number of a stream without drawing the earlier ones.
 namespace tt3d {
 
 /// Four words of a stream.

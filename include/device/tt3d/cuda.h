@@ -8,15 +8,16 @@
 #include "tt3d/error.h"
 #include "tt3d/kernel.h"
 
-/// The GPU's executor. For .cu files only; no torch header comes with it.
+/// The GPU's executor. For .cu files only; it includes no torch header.
 namespace tt3d {
 
-/// Throws ResourceError naming call, place and the runtime's text.
+/// Throws ResourceError with the call, its place in the source and the runtime's message.
 inline void check_cuda(cudaError_t status, const char* call, const char* file, int line) {
   if (status == cudaSuccess) return;
   throw ResourceError(std::string(file) + ":" + std::to_string(line) + ": " + call + ": " +
                       cudaGetErrorString(status));
 }
+/// A macro, because it stringises the call and takes its place in the source.
 #define TT3D_CUDA_CHECK(call) ::tt3d::check_cuda((call), #call, __FILE__, __LINE__)
 
 inline cudaStream_t stream_of(const Cuda& on) { return static_cast<cudaStream_t>(on.stream); }
@@ -38,7 +39,7 @@ __global__ void __launch_bounds__(kBlock) index_kernel(int64_t n, Body body) {
 template <typename Body>
 void for_each_index(const Cuda& on, int64_t n, const Body& body) {
   if (n <= 0) return;
-  constexpr int64_t kMaxBlocks = 1 << 20;  // beyond that a thread takes several items
+  constexpr int64_t kMaxBlocks = 1 << 20;  // with more items, a thread takes several
   const int64_t blocks = std::min((n + cuda_detail::kBlock - 1) / cuda_detail::kBlock, kMaxBlocks);
   cuda_detail::
       index_kernel<<<static_cast<unsigned>(blocks), cuda_detail::kBlock, 0, stream_of(on)>>>(n,

@@ -12,13 +12,13 @@
 
 #include "tt3d/kernel.h"
 
-/// One maths body for CPU and CUDA (design, section 4): tt3d/kernel.h has what bodies are made of,
+/// One maths body for CPU and CUDA (docs/architecture.md): tt3d/kernel.h has the parts of a body,
 /// this header the CPU's loops and the choice of the device, tt3d/cuda.h the GPU's loop.
 namespace tt3d {
 
-/// Calls `body(task, workspace)` for every task in [0, n), in parallel; for independent tasks of
-/// uneven cost, or on cores that others use, too: a thread takes the next one when it is done with
-/// its last. They start in order, so the costliest should come first. `make()` gives each thread
+/// Calls `body(task, workspace)` for every task in [0, n), in parallel. For independent tasks of
+/// uneven cost, or if other programs use the cores too: a thread takes the next task when it has
+/// finished its last. Tasks start in order, so put the costliest first. `make()` gives each thread
 /// its workspace.
 template <typename Make, typename Body>
 void for_each_task(int64_t n, const Make& make, const Body& body) {
@@ -29,7 +29,7 @@ void for_each_task(int64_t n, const Make& make, const Body& body) {
   });
 }
 
-/// Calls `body(task)` likewise.
+/// The same without a workspace: calls `body(task)`.
 template <typename Body>
 void for_each_task(int64_t n, const Body& body) {
   const auto nothing = [] { return 0; };
@@ -37,8 +37,8 @@ void for_each_task(int64_t n, const Body& body) {
 }
 
 /// Calls `body(begin, end)` over [0, n) in chunks of exactly `chunk` items (the last may be
-/// shorter), whatever the number of threads: per-chunk results that are combined in chunk order
-/// give the same bytes with 1 or N threads.
+/// shorter). The chunks do not depend on the number of threads: results per chunk that are combined
+/// in chunk order give the same bytes with 1 or N threads.
 template <typename Body>
 void for_each_chunk(int64_t n, int64_t chunk, const Body& body) {
   for_each_task((n + chunk - 1) / chunk,
@@ -60,8 +60,8 @@ void for_each_index(const Cpu&, int64_t n, const Body& body) {
 
 // ---- Choice of the device -----------------------------------------------------------------
 
-/// The device that "auto", "cpu" or "cuda" stands for: auto takes the GPU where there is one.
-/// Throws InputError for "cuda" in a build without CUDA executors, or where no GPU is visible.
+/// The device for "auto", "cpu" or "cuda"; auto is the GPU if there is one. Throws InputError for
+/// "cuda" in a build without CUDA executors, or if no GPU is visible.
 [[nodiscard]] at::Device device_named(const std::string& name);
 
 /// The GPU's executor on torch's current stream. Throws InputError in a build without CUDA.
@@ -70,7 +70,7 @@ void for_each_index(const Cpu&, int64_t n, const Body& body) {
 /// Throws c10::Error unless all tensors (undefined ones aside) are on the first one's device.
 void check_same_device(const char* name, std::initializer_list<at::Tensor> tensors);
 
-/// Calls `body` with the executor of the tensor's device. The one place where kernels branch on it.
+/// Calls `body` with the executor of the tensor's device. Kernels choose the device only here.
 template <typename Body>
 void on_device_of(const at::Tensor& tensor, const Body& body) {
   if (tensor.is_cpu()) {
@@ -86,14 +86,14 @@ void on_device_of(const at::Tensor& tensor, const Body& body) {
 }
 
 /// Calls `body(i)` for every i in [0, n) on the tensor's device; for independent items, and for
-/// sums where the order may be any (accumulate).
+/// sums in any order (accumulate).
 template <typename Body>
 void for_each_index_on(const at::Tensor& tensor, int64_t n, const Body& body) {
   on_device_of(tensor, [&](const auto& on) { for_each_index(on, n, body); });
 }
 
-/// Turns counts [n + 1] int64, element 0 being 0, into the begins of the items' lists; returns the
-/// length of them all.
+/// Turns counts [n + 1] int64 (element 0 is 0) into the first index of each item's list, in place;
+/// returns the total length of the lists.
 int64_t counts_to_begins(at::Tensor& counts);
 
 }  // namespace tt3d

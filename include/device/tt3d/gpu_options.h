@@ -2,17 +2,17 @@
 
 namespace tt3d {
 
-/// How the GPU computes, for the whole process, as torch's own switches for TF32 are. Both off
-/// unless asked for; the CPU takes no notice of them.
+/// Modes of the GPU for the whole process, like torch's own switches for TF32. Both are off by
+/// default; the CPU ignores them.
 struct GpuOptions {
-  /// The fields' networks fused on tensor cores: factors in float16, sums in float32.
+  /// Runs the fields' MLPs fused on tensor cores: factors in float16, sums in float32.
   bool half_mlp = false;
-  /// A classifier's passes with gradient are recorded once a batch size as CUDA graphs and played
-  /// again from then on.
+  /// Records a classifier's passes with gradient as CUDA graphs, one per batch size, and replays
+  /// them.
   bool graphs = false;
 };
 
-/// Sets them; call it before the work starts.
+/// Sets them. Call it before the work starts.
 void use_gpu_options(const GpuOptions& options);
 [[nodiscard]] const GpuOptions& gpu_options();
 

@@ -8,22 +8,22 @@
 #include <utility>
 #include <vector>
 
-/// Named tensors in one file: the safetensors format (8-byte header length, JSON header, raw
-/// little-endian data), so that checkpoints open in Python too and nothing in them is executed.
+/// Named tensors in one file, in the safetensors format (8-byte header length, JSON header, raw
+/// little-endian data). Python opens these files too, and nothing in them is executed.
 namespace tt3d {
 
 /// The content of such a file. dtypes: F32, F64, I32, I64, U8.
 struct TensorFile {
-  std::filesystem::path path;  ///< for messages
+  std::filesystem::path path;  ///< for error messages
   std::map<std::string, at::Tensor> tensors;
   std::map<std::string, std::string> metadata;
-  /// The tensor of that name, shape (-1: any size) and dtype; throws InputError naming what
+  /// The tensor of that name, shape (-1: any size) and dtype. Throws InputError that names what
   /// differs.
   [[nodiscard]] at::Tensor get(const std::string& name, at::IntArrayRef shape,
                                at::ScalarType dtype) const;
 };
 
-/// Writes atomically. Throws ResourceError when it cannot.
+/// Writes atomically. Throws ResourceError on failure.
 void save_tensors(const std::filesystem::path& path,
                   const std::vector<std::pair<std::string, at::Tensor>>& tensors,
                   const std::map<std::string, std::string>& metadata);

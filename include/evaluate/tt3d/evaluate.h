@@ -9,71 +9,82 @@
 #include <string>
 #include <vector>
 
-#include "tt3d/bake.h"
-#include "tt3d/capture.h"
+#include "tt3d/asset.h"
 #include "tt3d/core.h"
+#include "tt3d/keys.h"
 #include "tt3d/model.h"
+#include "tt3d/record.h"
+#include "tt3d/scene.h"
 
-/// Judges exported assets: loads them back from disk, renders held-out random views, scores
-/// victims. Success is counted here, on what ships, never inside the attack.
-namespace tt3d {
+/// Evaluates exported assets: loads them from disk, renders held-out random views, and scores
+/// victims. Success is measured here, on the exported files, never inside the attack.
+namespace tt3d::evaluate {
 
 // ---- Rendering of assets ------------------------------------------------------------------
 
-/// What a view distribution is scaled by for an asset, in its units: read from `views.json` beside
-/// it, which a run writes from its capture, else from the asset's bounding box.
-[[nodiscard]] ViewFrame asset_view_frame(const TexturedMesh& asset,
-                                         const std::filesystem::path& asset_path);
-/// Writes `views.json` into the folder of the assets.
-void write_view_frame(const ViewFrame& frame, const std::filesystem::path& folder);
-
-/// Unlit pictures of an asset by the built-in renderer: [N,H,W,4], premultiplied colour and alpha,
-/// trilinear texture look-up, antialiased silhouettes. Cameras share one picture size.
+/// The built-in renderer: unlit pictures of an asset, [N,H,W,4], premultiplied colour and alpha,
+/// with trilinear texture look-up and antialiased silhouettes. All cameras have the same picture
+/// size.
 class AssetRenderer {
  public:
-  /// Renders on `device`, where the pictures come from too.
-  explicit AssetRenderer(const TexturedMesh& asset, at::Device device = at::kCPU);
-  [[nodiscard]] at::Tensor render(const std::vector<Camera>& cameras) const;
+  /// Renders on `device`; the pictures are on this device.
+  explicit AssetRenderer(const asset::TexturedMesh& asset, at::Device device = at::kCPU);
+  [[nodiscard]] at::Tensor render(const std::vector<scene::Camera>& cameras) const;
 
  private:
-  TexturedMesh asset_;
+  asset::TexturedMesh asset_;
   at::Tensor texels_;  ///< [H,W,3] float
   at::Tensor twins_;
   at::Tensor corner_uvs_, corner_faces_, corner_index_;  ///< for texture derivatives
   double extent_ = 1;
 };
 
-/// Who makes the pictures.
+/// Programs that render assets.
+enum class RendererName { kBuiltin, kMitsuba, kBlender, kMeshlab };
+[[nodiscard]] constexpr std::array<std::string_view, 4> enum_names(RendererName) {
+  return {"builtin", "mitsuba", "blender", "meshlab"};
+}
+
+/// The renderer and its settings.
 struct RendererChoice {
-  std::string name = "builtin";  ///< builtin, mitsuba, blender or meshlab
-  bool lit = false;              ///< environment, sun and ground instead of the bare texture
-  /// Rays a pixel; 0: 1 in the built-in renderer, lit 64 in Mitsuba and 8 in Blender, else 16. In
-  /// the built-in one a square number (4: two by two), averaged in linear light. MeshLab has no
-  /// choice.
+  RendererName name = RendererName::kBuiltin;
+  bool lit = false;
   int samples = 0;
-  double time_limit_seconds = 60;  ///< a view, in another renderer
+  double time_limit_seconds = 60;
+
+  void keys(KeyList& key) {
+    key("renderer", name, "program that renders the pictures");
+    key("lit", lit,
+        "with environment light, sun and ground; the built-in renderer shows the texture unlit "
+        "only");
+    samples_key(key);
+    key("view_time_limit", time_limit_seconds, {1e-3, 1e6}, "seconds",
+        "time limit per view of the other renderers");
+  }
+  void samples_key(KeyList& key) {
+    key("samples", samples, {0, 65536}, "",
+        "samples per pixel, averaged in linear light; the built-in renderer takes a square number "
+        "of "
+        "at most 64; 0: 1 in the built-in renderer, with light 64 in Mitsuba and 8 in Blender, "
+        "else 16");
+  }
 };
 
-/// Refuses a name that is not a renderer, and light or a number of samples that the built-in one
-/// has not: InputError.
+/// Throws InputError if the built-in renderer does not support lighting or that sample count.
 void check_renderer(const RendererChoice& renderer);
-/// Rays a pixel that a choice stands for.
+/// Samples per pixel; `samples` = 0 gives the default of the renderer.
 [[nodiscard]] int samples_of(const RendererChoice& renderer);
 
-/// Means of `factor` by `factor` pixels of premultiplied sRGB pictures [N,H,W,4] in linear light,
-/// as a camera takes them: [N,H/factor,W/factor,4], premultiplied again.
-[[nodiscard]] at::Tensor average_pixels(const at::Tensor& pictures, int64_t factor);
-
-/// Pictures of an asset from given views, by any renderer. Another renderer reads the file itself:
-/// Blender the GLB or OBJ, Mitsuba and MeshLab, which know no GLB, an OBJ, written from what
-/// load_asset gives unless the file is an OBJ of ours. It makes all pictures at construction, in
+/// Pictures of an asset from given views, by any renderer. The other renderers read a file: Blender
+/// the GLB or OBJ itself, Mitsuba and MeshLab an OBJ. This OBJ is written from the loaded asset,
+/// unless the file is an OBJ of tt3d. The other renderers make all pictures in the constructor, in
 /// one child process.
 class AssetViews {
  public:
   /// Throws InputError, MissingToolError (with the install command), ResourceError (failure, hang).
-  AssetViews(const std::filesystem::path& path, const TexturedMesh& asset,
-             std::vector<SampledView> views, const RendererChoice& renderer, at::Device device,
-             Progress& progress);
+  AssetViews(const std::filesystem::path& path, const asset::TexturedMesh& asset,
+             std::vector<scene::SampledView> views, const RendererChoice& renderer,
+             at::Device device, Progress& progress);
   ~AssetViews();
   AssetViews(AssetViews&&) noexcept;
   AssetViews& operator=(AssetViews&&) noexcept;
@@ -87,146 +98,108 @@ class AssetViews {
   std::unique_ptr<Parts> parts_;
 };
 
-// ---- Measures -----------------------------------------------------------------------------
-
-/// Peak signal-to-noise ratio of pictures [H,W,C] in [0,1], dB; 100 when equal.
-[[nodiscard]] double psnr(const at::Tensor& a, const at::Tensor& b);
-/// Structural similarity (Wang et al. 2004): Gaussian window of sigma 1.5 over 11 pixels, mean
-/// over colours and over the pixels whose window lies inside. [H,W,C] in [0,1].
-[[nodiscard]] double ssim(const at::Tensor& a, const at::Tensor& b);
-/// Wilson's 95 % interval of k successes in n.
-struct Interval {
-  double low = 0, high = 0;
-};
-[[nodiscard]] Interval wilson_interval(int64_t successes, int64_t n);
-
-/// The rectangle of pixels around the object in a view.
-struct PixelBox {
-  int64_t left = 0, top = 0, right = 0, bottom = 0;  ///< right and bottom are outside
-};
-/// Around the projections of all vertices [V,3], within the picture, 11 pixels a side or more, the
-/// window of SSIM. The whole picture where a vertex is behind the camera.
-[[nodiscard]] PixelBox object_box(const Camera& camera, const at::Tensor& vertices);
-
 // ---- Evaluation ---------------------------------------------------------------------------
 
 struct EvaluateOptions {
   std::filesystem::path asset;
-  std::filesystem::path clean;  ///< empty: no clean figures
-  std::string target;           ///< class, as find_class takes it
-  std::string true_class;       ///< empty: no accuracy figures
+  std::filesystem::path clean;   ///< the object before the attack; empty: no figures about it
+  std::string target;            ///< class: index, WordNet id or name (find_class)
+  uint64_t seed = 0;             ///< views come from a stream that training does not use
+  at::Device device = at::kCPU;  ///< device of the renderer and the victims
+  std::string lpips;  ///< vgg, alex or squeeze: also LPIPS against the clean object; empty: none
+  std::filesystem::path lpips_backbone;  ///< weights of this network from torchvision
+  double geometry_time_limit_seconds = 600;
+
+  std::string true_class;
   std::vector<std::string> victims;
   int64_t views = 100;
-  std::string view_distribution = "dome";
+  scene::ViewDistribution view_distribution = scene::ViewDistribution::kDome;
   int size = 400;
   std::string background = "white";
-  uint64_t seed = 0;  ///< views are drawn from a stream of their own, apart from training's
-  at::Device device = at::kCPU;  ///< where pictures are rendered and victims run
   RendererChoice renderer;
-  std::string lpips;  ///< vgg, alex or squeeze: also LPIPS against the clean object; empty: none
-  std::filesystem::path lpips_backbone;  ///< torchvision's weights of that network
-  bool geometry = false;  ///< also Chamfer, Hausdorff, normals, self-intersections against clean
-  double geometry_time_limit_seconds = 600;
+  bool geometry = false;
+
+  void keys(KeyList& key) {
+    key("true_class", true_class,
+        "true class of the object; an untargeted attack avoids it; empty: no accuracy "
+        "figures");
+    key("victims", victims, "models that are scored");
+    key("views", views, {1, 1e6}, "", "held-out random views");
+    key("view_distribution", view_distribution, "distribution of the random views");
+    key("size", size, {16, 8192}, "pixels", "side of the pictures");
+    key("background", background, "white, #rrggbb or a folder of photographs");
+    key("geometry", geometry,
+        "also compares shapes with the clean object (needs scripts/setup --all)");
+    renderer.samples_key(key);
+  }
 };
 
-/// Distances of the adversarial from the clean object, in the asset's units (geometry.py).
-struct GeometryRecord {
-  double chamfer = 0, hausdorff = 0, normal_deviation_deg = 0;
-  int64_t self_intersecting_faces = 0, self_intersecting_faces_clean = 0;
-};
+/// Compares the geometry of two assets, in a child process with a time limit. Throws
+/// MissingToolError and ResourceError.
+[[nodiscard]] record::GeometryRecord compare_geometry(const asset::TexturedMesh& clean,
+                                                      const asset::TexturedMesh& adversarial,
+                                                      double time_limit_seconds,
+                                                      Progress& progress);
 
-/// Geometry of two assets compared, in a child process with a time limit. Throws MissingToolError
-/// and ResourceError.
-[[nodiscard]] GeometryRecord compare_geometry(const TexturedMesh& clean,
-                                              const TexturedMesh& adversarial,
-                                              double time_limit_seconds, Progress& progress);
-
-/// A victim's answer to one view.
-struct ViewAnswer {
-  int64_t top1 = -1;
-  std::string top1_name;
-  double p_top1 = 0, p_target = 0, p_true = 0;
-  int64_t clean_top1 = -1;
-};
-
-struct VictimRecord {
-  std::string name, sha256;
-  double asr = 0, mean_target_probability = 0;
-  Interval asr_ci95;
-  std::optional<double> clean_accuracy, asr_on_correct;
-  int64_t clean_n = 0, asr_on_correct_n = 0;
-  std::vector<ViewAnswer> answers;  ///< one a view
-};
-
-struct EvalRecord {
-  EvaluateOptions options;
-  std::string asset_sha256;
-  std::string renderer_version;
-  ClassId target, true_class;
-  std::vector<SampledView> views;
-  std::vector<VictimRecord> victims;
-  std::optional<double> psnr, ssim;          ///< over the frame, background included
-  std::optional<double> psnr_box, ssim_box;  ///< over the rectangle around the object
-  std::optional<double> lpips, lpips_box;
-  std::optional<GeometryRecord> geometry;
-  double wall_seconds = 0;
-};
-
-/// The views that evaluations and renderings draw: of a stream apart from training's, whatever the
+/// The views of evaluations and renderings. Their random stream is never one of training, for any
 /// seed.
-[[nodiscard]] std::vector<SampledView> evaluation_views(const std::string& distribution,
-                                                        uint64_t seed, int64_t count, int size,
-                                                        const ViewFrame& frame);
+[[nodiscard]] std::vector<scene::SampledView> evaluation_views(scene::ViewDistribution distribution,
+                                                               uint64_t seed, int64_t count,
+                                                               int size,
+                                                               const scene::ViewFrame& frame);
 
-/// Evaluates. Throws InputError (files, classes, models).
-[[nodiscard]] EvalRecord evaluate_asset(const EvaluateOptions& options, Progress& progress);
+/// Composites views [begin,end) over their backgrounds: [N,3,H,W] in [0,1], rounded to 8 bits as in
+/// a PNG. Background i depends on (seed, i) alone.
+[[nodiscard]] at::Tensor pictures_over(const AssetViews& views,
+                                       const scene::Backgrounds& background, int64_t begin,
+                                       int64_t end, uint64_t seed);
 
-/// The evaluation record of the contract as JSON text, and the per-view rows as CSV.
-[[nodiscard]] std::string record_json(const EvalRecord& record);
-[[nodiscard]] std::string record_csv(const EvalRecord& record);
-/// Writes FILE.json and FILE.csv.
-void write_record(const EvalRecord& record, const std::filesystem::path& json_path);
+/// Runs an evaluation. `assets` loads each file once. Throws InputError (files, classes, models).
+[[nodiscard]] record::EvaluationRecord evaluate_asset(const EvaluateOptions& options,
+                                                      asset::AssetFiles& assets,
+                                                      Progress& progress);
 
-/// A victim's shares, counted from its answers. `true_class` -1 and `has_clean` false leave the
-/// figures about the clean object out.
-void summarize(VictimRecord& victim, int64_t target, int64_t true_class, bool has_clean);
-/// Appends a victim's answers to pictures [N,3,H,W] in [0,1], and to the clean ones if defined.
-void answer(const Classifier& model, const at::Tensor& pictures, const at::Tensor& clean,
-            int64_t target, int64_t true_class, std::vector<ViewAnswer>& answers);
+/// Appends the answers of a victim to pictures [N,3,H,W] in [0,1], and to the clean pictures if
+/// defined. `target` and `true_class`: indices in the labels of this victim.
+void answer(const model::Classifier& model, const at::Tensor& pictures, const at::Tensor& clean,
+            int64_t target, std::optional<int64_t> true_class,
+            std::vector<record::ViewAnswer>& answers);
 
-/// Renders `count` views into a NeRF-synthetic capture: PNG files with alpha, transforms_test.json
-/// and transforms_train.json (the same views), so that it can be read back as a capture.
-void render_to_folder(const std::filesystem::path& asset, const std::string& distribution,
-                      int64_t count, int size, uint64_t seed, const std::filesystem::path& out,
-                      Progress& progress, at::Device device = at::kCPU,
-                      const RendererChoice& renderer = {});
+// ---- Pictures and videos of an asset ------------------------------------------------------
 
-/// A video once around the object.
+/// Renders views into a NeRF-synthetic capture: PNG files with alpha, transforms_test.json and
+/// transforms_train.json (the same views). load_capture can read it. Uses the asset, views and
+/// renderer of `options`.
+void render_to_folder(const EvaluateOptions& options, const std::filesystem::path& out,
+                      Progress& progress);
+
+/// Options of a video that goes once around the object.
 struct TurntableOptions {
-  std::filesystem::path asset, out;  ///< out: .mp4
+  std::filesystem::path asset, out;  ///< out: a file .mp4
   double seconds = 6, elevation_deg = 15;
   int frames_per_second = 25, size = 480;
-  int blur = 1;  ///< pictures that are averaged to a frame: an open shutter
-  int crf = 20;  ///< of H.264: 18 hardly loses, 35 visibly
+  int blur = 1;  ///< pictures averaged per frame (motion blur)
+  int crf = 20;  ///< compression of H.264: 18 loses little, 35 visibly
   std::string background = "white";
-  uint64_t seed = 0;  ///< of the background
+  uint64_t seed = 0;  ///< seed of the background
   RendererChoice renderer;
   at::Device device = at::kCPU;
 };
-/// Renders and encodes it (ffmpeg). Throws InputError, MissingToolError, ResourceError.
+/// Renders and encodes the video (ffmpeg). Throws InputError, MissingToolError, ResourceError.
 void render_turntable(const TurntableOptions& options, Progress& progress);
 
 // ---- Videos -------------------------------------------------------------------------------
 
-/// How success in a video is counted.
+/// Options of scoring a video.
 struct VideoOptions {
   std::filesystem::path video;
   std::string target, true_class;  ///< classes; true_class may be empty
   std::vector<std::string> victims;
   int64_t frames = 60;         ///< sampled evenly over the whole length
   std::string box;             ///< LEFT,TOP,WIDTH,HEIGHT in pixels of the upright frame; empty: all
-  bool track = false;          ///< the box is that of the first frame, and is followed
-  std::filesystem::path mask;  ///< picture; the box around its light pixels is taken
+  bool track = false;          ///< true: the box belongs to the first frame, and a tracker follows
+                               ///< it
+  std::filesystem::path mask;  ///< picture; the box is that of its light pixels
   std::filesystem::path backgrounds;  ///< CSV of start_seconds,end_seconds,label; empty: none
   double time_limit_seconds = 3600;
   at::Device device = at::kCPU;
@@ -234,32 +207,26 @@ struct VideoOptions {
 
 /// A sampled frame.
 struct VideoFrame {
-  int64_t index = 0;  ///< in the video
+  int64_t index = 0;  ///< index in the video
   double seconds = 0;
-  PixelBox box;
-  std::string background;  ///< label; "" outside the table
-  at::Tensor picture;      ///< [H,W,3] uint8, what the victims see, at most 320 pixels a side
+  scene::PixelBox box;
+  std::string background;  ///< label from the table; "" if no row covers the time
+  at::Tensor picture;      ///< [H,W,3] uint8, the crop that victims get, at most 320 pixels a side
 };
 
-struct VideoRecord {
-  VideoOptions options;
-  std::string video_sha256;
-  int64_t width = 0, height = 0;  ///< upright
-  double duration_seconds = 0;
-  ClassId target, true_class;
+/// A record, and the data of its CSV file and pictures.
+struct ScoredVideo {
+  record::VideoRecord record;
   std::vector<VideoFrame> frames;
-  std::vector<VictimRecord> victims;  ///< one answer a frame
+  std::vector<std::vector<record::ViewAnswer>> answers;  ///< [victim][frame]
 };
 
-/// Scores a video's frames. Frames are decoded one after the other by ffmpeg, so that memory does
-/// not grow with the video. Throws InputError (no video, no frames, box outside, table),
-/// MissingToolError and ResourceError.
-[[nodiscard]] VideoRecord score_video(const VideoOptions& options, Progress& progress);
-/// JSON with ASR by victim and by background label; and a CSV row a frame and victim.
-[[nodiscard]] std::string video_json(const VideoRecord& record);
-[[nodiscard]] std::string video_csv(const VideoRecord& record);
-/// Writes FILE.json, FILE.csv, and up to 60 frames evenly as pictures into FILE.frames, which the
-/// JSON's `strip` lists with the answers.
-void write_video_record(const VideoRecord& record, const std::filesystem::path& json_path);
+/// Scores frames of a video. ffmpeg decodes them one after the other, so memory does not grow with
+/// the length of the video. Throws InputError (no video, no frames, box outside the frame,
+/// malformed table), MissingToolError and ResourceError.
+[[nodiscard]] ScoredVideo score_video(const VideoOptions& options, Progress& progress);
+/// Writes FILE.json, FILE.csv with a row for each victim and frame, and up to 60 frames as pictures
+/// into FILE.frames. The `strip` of the record lists these pictures with the answers.
+void save(ScoredVideo& video, const std::filesystem::path& json_path);
 
-}  // namespace tt3d
+}  // namespace tt3d::evaluate

@@ -11,117 +11,113 @@
 #include "tt3d/capture.h"
 #include "tt3d/core.h"
 #include "tt3d/field.h"
+#include "tt3d/keys.h"
+#include "tt3d/object.h"
 #include "tt3d/raster.h"
+#include "tt3d/scene.h"
+#include "tt3d/surface.h"
 
 /// From a radiance field to a closed, manifold triangle mesh, refined against the photographs.
 /// Meshes: vertices [V,3] float32 in [-1,1]^3, faces [F,3] int32 counter-clockwise from outside.
-/// Functions that change a mesh's structure work on the host and give a mesh on the host; rendering
-/// and regularisers work on the device of their tensors.
-namespace tt3d {
-namespace mesh {
+/// Functions that change the structure of a mesh run on the host and return a mesh on the host.
+/// Rendering and regularisers run on the device of their tensors.
+namespace tt3d::mesh {
 struct Neighbors;
-}
 
-struct TriMesh {
-  at::Tensor vertices;  ///< [V,3] float32
-  at::Tensor faces;     ///< [F,3] int32
-  /// The same on a device, without gradient; shares memory where it is there already.
-  [[nodiscard]] TriMesh to(at::Device device) const;
-};
-
-/// What a mesh is, counted on its index structure.
+/// Topology of a mesh, from its indices, and its volume.
 struct MeshFacts {
   int64_t vertices = 0, faces = 0, edges = 0, components = 0;
-  int64_t boundary_edges = 0;      ///< edges of one face
-  int64_t non_manifold_edges = 0;  ///< edges of three or more faces, or of two that disagree
+  int64_t boundary_edges = 0;      ///< edges with one face
+  int64_t non_manifold_edges = 0;  ///< edges with three or more faces, or with two of opposite
+                                   ///< orientation
   int64_t euler = 0;               ///< V - E + F: 2 * (components - genus) when closed
   double volume = 0;               ///< signed; positive when faces look outward
   [[nodiscard]] bool closed() const { return boundary_edges == 0 && non_manifold_edges == 0; }
 };
-[[nodiscard]] MeshFacts inspect(const TriMesh& mesh);
+[[nodiscard]] MeshFacts inspect(const scene::TriMesh& mesh);
 
 // ---- Extraction ---------------------------------------------------------------------------
 
-/// Marching cubes (Lorensen & Cline 1987) on values [G,G,G] over (z,y,x) at the corners of a
-/// regular grid over [-1,1]^3; inside is value > 0. The case table is generated, each ambiguous
-/// face is cut the same way from both sides, and the grid counts as surrounded by outside: the
-/// result is closed and manifold.
-[[nodiscard]] TriMesh marching_cubes(const at::Tensor& values);
+/// Marching cubes (Lorensen & Cline 1987) on values [G,G,G], indexed (z,y,x), at the points of a
+/// regular grid over [-1,1]^3; inside is value > 0. The result is closed and manifold: both sides
+/// cut an ambiguous face the same way, and everything outside the grid counts as outside.
+[[nodiscard]] scene::TriMesh marching_cubes(const at::Tensor& values);
 
-/// Sets outside points that a cube of 2 * radius + 1 points a side cannot cover on its way from the
-/// grid's border to inside: no hidden inner surfaces, no tunnels too narrow to look through (a
-/// closing by reconstruction; Serra 1982). values as for marching_cubes; in place.
+/// Fills cavities and narrow tunnels (a closing by reconstruction; Serra 1982): an outside point
+/// becomes inside if a cube of 2 * radius + 1 points a side, moved from the border of the grid
+/// through outside points, cannot cover it. values as for marching_cubes; in place.
 void fill_cavities(const at::Tensor& values, int64_t radius);
 
-/// Drops unused vertices, duplicate, null and back-to-back faces; pulls apart edges of more than
-/// two faces. A closed mesh stays closed.
-[[nodiscard]] TriMesh repair(const TriMesh& mesh);
+/// Removes unused vertices and duplicate, degenerate and back-to-back faces; separates edges with
+/// more than two faces. A closed mesh stays closed.
+[[nodiscard]] scene::TriMesh repair(const scene::TriMesh& mesh);
 
-/// Closes every hole: a rim of three edges by a face, a longer one by a fan around its middle.
-[[nodiscard]] TriMesh close_holes(const TriMesh& mesh);
+/// Closes every hole: one with three edges by a face, a longer one by a fan around its centre.
+[[nodiscard]] scene::TriMesh close_holes(const scene::TriMesh& mesh);
 
-/// Drops components whose bounding box's diagonal is under `share` of the whole mesh's.
-[[nodiscard]] TriMesh drop_small_components(const TriMesh& mesh, double share);
+/// Removes components whose bounding box has a diagonal shorter than `share` times that of the
+/// whole mesh.
+[[nodiscard]] scene::TriMesh drop_small_components(const scene::TriMesh& mesh, double share);
 
 /// Quadric simplification (meshoptimizer) to about `target_faces`.
-[[nodiscard]] TriMesh simplify(const TriMesh& mesh, int64_t target_faces);
+[[nodiscard]] scene::TriMesh simplify(const scene::TriMesh& mesh, int64_t target_faces);
 
-/// Splits the faces of `selected` [F] (bool) into four at their edges' middles; neighbours are
-/// split to match. Edges shorter than `min_edge` stay.
-[[nodiscard]] TriMesh subdivide(const TriMesh& mesh, const at::Tensor& selected, double min_edge);
+/// Splits the faces of `selected` [F] (bool) into four at the midpoints of their edges, and splits
+/// neighbours to match. Edges shorter than `min_edge` are not split.
+[[nodiscard]] scene::TriMesh subdivide(const scene::TriMesh& mesh, const at::Tensor& selected,
+                                       double min_edge);
 
-/// Simplifies only the faces of `selected` [F] (bool), keeping `ratio` of them; their border stays.
-[[nodiscard]] TriMesh decimate(const TriMesh& mesh, const at::Tensor& selected, double ratio);
+/// Simplifies only the faces of `selected` [F] (bool) and keeps about `ratio` of them. The border
+/// of the selection stays unchanged.
+[[nodiscard]] scene::TriMesh decimate(const scene::TriMesh& mesh, const at::Tensor& selected,
+                                      double ratio);
 
 // ---- Rendering ----------------------------------------------------------------------------
 
-/// A mesh's fixed part, prepared for rendering.
+/// The topology of a mesh, prepared for rendering.
 struct RenderMesh {
   at::Tensor faces;  ///< [F,3]
   at::Tensor twins;  ///< from edge_twins
   explicit RenderMesh(const at::Tensor& mesh_faces);
 };
 
-/// Views of a mesh: vertices [V,3] where they are, rest [V,3] where the shader looks their points
-/// up (the same tensor, or the undeformed positions: the appearance then sticks to the surface).
-/// Cameras share one picture size. Returns [N,H,W,C+1], antialiased at silhouettes: premultiplied
-/// colours, alpha, then what the shader has beyond three rows. Differentiable in vertices, rest and
-/// whatever the shader holds. `rast_out` receives the rasterisation.
+/// Renders views of a mesh. vertices [V,3]: positions. rest [V,3]: the positions that the shader
+/// gets, either the same tensor or the undeformed positions; the appearance then moves with the
+/// surface. All cameras have the same picture size. Returns [N,H,W,C+1], antialiased at
+/// silhouettes: premultiplied colours, alpha, then the rows of the shader after the first three.
+/// Differentiable in vertices, rest and the parameters of the shader. `rast_out` receives the
+/// rasterisation.
 [[nodiscard]] at::Tensor render_mesh(const at::Tensor& vertices, const at::Tensor& rest,
-                                     const RenderMesh& mesh, const std::vector<Camera>& cameras,
-                                     const SurfaceShader& shader, at::Tensor* rast_out = nullptr);
-
-/// World-to-clip matrices of cameras, [N,4,4] float32, with depth range fitted to [-1,1]^3 around
-/// the origin times `extent`.
-[[nodiscard]] at::Tensor clip_matrices(const std::vector<Camera>& cameras, double extent = 2);
-/// vertices [V,3] through matrices [N,4,4] of the same type: clip coordinates [N,V,4].
-/// Differentiable with respect to the vertices.
-[[nodiscard]] at::Tensor to_clip(const at::Tensor& vertices, const at::Tensor& matrices);
+                                     const RenderMesh& mesh,
+                                     const std::vector<scene::Camera>& cameras,
+                                     const raster::SurfaceShader& shader,
+                                     at::Tensor* rast_out = nullptr);
 
 // ---- Regularisers -------------------------------------------------------------------------
 
-/// What a neighbour weighs in a vertex's Laplacian.
+/// Weights of the neighbours in the Laplacian of a vertex.
 enum class LaplacianWeights {
-  kUniform,    ///< the same for all: also evens out the triangles
-  kCotangent,  ///< (cot a + cot b) / 2 of the angles opposite the edge, at rest (Pinkall & Polthier
-               ///< 1993): flat places cost nothing, however they are cut. Kept in [1e-4, 1e2].
+  kUniform,    ///< equal weights; also makes the triangles more regular
+  kCotangent,  ///< (cot a + cot b) / 2 of the angles opposite the edge, in the rest mesh (Pinkall &
+               ///< Polthier 1993), clamped to [1e-4, 1e2]. A flat region costs nothing for any
+               ///< triangulation.
 };
-
-/// Unit normals of the vertices [V,3]: the mean of the faces around, weighted by area; 0 where
-/// there are none. faces [F,3]. Differentiable.
-[[nodiscard]] at::Tensor vertex_normals(const at::Tensor& vertices, const at::Tensor& faces);
+[[nodiscard]] constexpr std::array<std::string_view, 2> enum_names(LaplacianWeights) {
+  return {"uniform", "cotangent"};
+}
 
 /// Neighbourhoods of a mesh, for the regularisers.
 class MeshRegularizer {
  public:
-  explicit MeshRegularizer(const TriMesh& rest,
+  explicit MeshRegularizer(const scene::TriMesh& rest,
                            LaplacianWeights weights = LaplacianWeights::kUniform);
   /// Mean squared Laplacian (Nealen et al. 2006): |v - weighted mean of its neighbours|^2.
   [[nodiscard]] at::Tensor laplacian(const at::Tensor& vertices) const;
   /// Mean squared edge length (Wang et al., Pixel2Mesh, 2018).
   [[nodiscard]] at::Tensor edge_length(const at::Tensor& vertices) const;
-  /// Chamfer distance to the rest vertices: squared distances to the nearest, both ways, means
-  /// added. Exact: where a vertex provably stayed nearest to its own rest place no search is made.
+  /// Chamfer distance to the rest vertices: the sum of both means of squared nearest distances.
+  /// Exact; a search is skipped only if a vertex is provably still nearest to its own rest
+  /// position.
   [[nodiscard]] at::Tensor chamfer(const at::Tensor& vertices) const;
 
  private:
@@ -130,7 +126,7 @@ class MeshRegularizer {
                                                                     const at::Tensor& offset) const;
 
   at::Tensor rest_;
-  std::shared_ptr<const mesh::Neighbors> neighbors_;
+  std::shared_ptr<const Neighbors> neighbors_;
   at::Tensor degree_;   ///< [V,1] sum of the weights around each vertex
   at::Tensor spacing_;  ///< [V] distance of each rest vertex to the nearest other one
   std::shared_ptr<const RestTree> tree_;
@@ -139,48 +135,65 @@ class MeshRegularizer {
 // ---- Stages -------------------------------------------------------------------------------
 
 struct MeshOptions {
-  int64_t resolution = 256;      ///< grid points a side for marching cubes
-  double iso = 10;               ///< density of the surface, at most the field's mean
-  int64_t close_gaps = 1;        ///< grid points; radius of fill_cavities
-  double min_component = 0.05;   ///< share of the diameter below which components go
-  int64_t target_faces = 40000;  ///< after simplification
-  int64_t refine_steps = 400;
+  int64_t resolution = 192;
+  double iso = 10;
+  int64_t close_gaps = 1;
+  double min_component = 0.05;
+  int64_t target_faces = 40000, min_faces = 20000, max_faces = 60000;
+  int64_t refine_steps = 200;
   int64_t views_per_step = 2;
-  double vertex_rate = 1e-4;      ///< Adam's learning rate of vertex offsets
-  double appearance_rate = 1e-2;  ///< of the appearance's parameters
-  double mask_weight = 0.1;
-  double laplacian_weight = 1e-3;
-  double offset_weight = 0.1;
-  std::vector<double> remesh_at = {0.2, 0.4};  ///< shares of the steps
-  double split_share = 0.1;                    ///< faces with the worst error that are split
-  double decimate_share = 0.5;                 ///< faces with the best error that are thinned
-  double decimate_ratio = 0.5;                 ///< share of those that is kept
-  double min_edge = 0.01;                      ///< edges are not split below this
-  int64_t max_faces = 60000, min_faces = 20000;
+  double vertex_rate = 1e-4, appearance_rate = 1e-2;
+  double mask_weight = 0.1, laplacian_weight = 1e-3, offset_weight = 0.1;
+  std::vector<double> remesh_at = {0.2, 0.4};
+  double split_share = 0.1, decimate_share = 0.5, decimate_ratio = 0.5;
+  double min_edge = 0.01;
   int64_t checkpoint_every = 100;
+
+  void keys(KeyList& key) {
+    key("resolution", resolution, {16, 1024}, "points", "side of the marching-cubes grid");
+    key("iso", iso, {1e-3, 1e6}, "",
+        "density at the surface; values above the mean density of the field are lowered to it");
+    key("close_gaps", close_gaps, {0, 16}, "points",
+        "fills cavities, and tunnels too narrow for a cube of 2 n + 1 grid points");
+    key("min_component", min_component, {0, 1}, "",
+        "components smaller than this share of the diameter are removed");
+    key("target_faces", target_faces, {100, 5e6}, "faces", "faces after simplification");
+    key("min_faces", min_faces, {0, 5e6}, "faces", "lowest number of faces in refinement");
+    key("max_faces", max_faces, {100, 1e7}, "faces", "highest number of faces in refinement");
+    key("refine_steps", refine_steps, {0, 1e6}, "", "refinement steps");
+    key("views_per_step", views_per_step, {1, 64}, "", "photographs per refinement step");
+    key("vertex_rate", vertex_rate, {0, 1}, "", "learning rate of vertex offsets");
+    key("appearance_rate", appearance_rate, {0, 1}, "", "learning rate of the appearance");
+    key("mask_weight", mask_weight, {0, 1e6}, "", "weight of the mask loss");
+    key("laplacian_weight", laplacian_weight, {0, 1e6}, "", "weight of the uniform Laplacian");
+    key("offset_weight", offset_weight, {0, 1e6}, "", "weight of the squared vertex offsets");
+    key("remesh_at", remesh_at, {0, 1},
+        "shares of the steps after which faces are split and decimated");
+    key("split_share", split_share, {0, 1}, "",
+        "share of the faces that is split: those with the largest error");
+    key("decimate_share", decimate_share, {0, 1}, "",
+        "share of the faces that is decimated: those with the smallest error");
+    key("decimate_ratio", decimate_ratio, {0.01, 1}, "",
+        "share of the decimated faces that is kept");
+    key("min_edge", min_edge, {0, 1}, "object box / 2", "shorter edges are not split");
+    key("checkpoint_every", checkpoint_every, {1, 1e7}, "steps", "steps between checkpoints");
+  }
 };
 
-/// Marching cubes on the field, cleaned and simplified. Throws InputError when nothing is solid.
-[[nodiscard]] TriMesh extract_mesh(const RadianceField& field, const MeshOptions& options,
-                                   Progress& progress);
+/// Marching cubes on the field, then repair and simplification. Throws InputError if the field has
+/// no surface.
+[[nodiscard]] scene::TriMesh extract_mesh(const field::RadianceField& field,
+                                          const MeshOptions& options, Progress& progress);
 
-/// A refined mesh and the diffuse appearance fitted with it.
-struct RefinedMesh {
-  TriMesh mesh;
-  GridMlp appearance;
-};
+/// Optimises vertices and appearance against the training photographs. Only the diffuse part of the
+/// appearance is optimised, because only this part is exported. Splits the faces with the largest
+/// error and decimates those with the smallest. The result is on the device of the appearance.
+/// Resumes from `checkpoint` if it exists, with the same result to the byte. Throws NumericError.
+[[nodiscard]] object::Object refine_mesh(const scene::TriMesh& mesh,
+                                         const field::GridMlp& appearance,
+                                         const capture::Capture& capture,
+                                         const MeshOptions& options, uint64_t seed,
+                                         const std::filesystem::path& checkpoint,
+                                         Progress& progress);
 
-/// Optimises vertices and appearance (its diffuse part alone: what is exported) against the
-/// training photographs; splits faces with the worst error and thins those with the best. Works on
-/// the appearance's device, and leaves the result there.
-/// Resumes from `checkpoint` if it exists, to the same bytes. Throws NumericError.
-[[nodiscard]] RefinedMesh refine_mesh(const TriMesh& mesh, const GridMlp& appearance,
-                                      const Capture& capture, const MeshOptions& options,
-                                      uint64_t seed, const std::filesystem::path& checkpoint,
-                                      Progress& progress);
-
-/// Binary PLY, vertices and faces only, positions mapped by the inverse of `normalization`.
-void write_ply(const TriMesh& mesh, const Normalization& normalization,
-               const std::filesystem::path& path);
-
-}  // namespace tt3d
+}  // namespace tt3d::mesh

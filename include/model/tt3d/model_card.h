@@ -4,17 +4,19 @@
 #include <string>
 #include <vector>
 
-/// What a model package says about itself, and the limits it is read under. Needs no torch.
-namespace tt3d {
+#include "tt3d/record.h"
 
-/// The card of a model package (design, section 9 "Model package").
+/// What a model package says about itself, and the limits it is read under. Needs no torch.
+namespace tt3d::model {
+
+/// The card of a model package (docs/model.md).
 struct ModelCard {
   std::string name, architecture, source, licence;
   int64_t height = 0, width = 0;    ///< input size in pixels
   int64_t resize = 0;               ///< shorter side before the centre crop
   std::string interpolation;        ///< "bilinear" or "bicubic"
   std::vector<double> mean, std;    ///< per RGB channel, of values in [0,1]
-  std::vector<std::string> labels;  ///< one name a class, in order of the logits
+  std::vector<std::string> labels;  ///< one name per class, in order of the logits
   std::vector<std::string> wnids;   ///< WordNet ids when the labels are imagenet-1k, else empty
   std::string sha256;               ///< of the .pt2
 };
@@ -28,14 +30,10 @@ struct ModelLimits {
   int json_depth = 128;
 };
 
-/// A class of a model, found by index ("849"), WordNet id ("n04398044") or name ("teapot").
-struct ClassId {
-  int64_t index = -1;
-  std::string wnid;  ///< empty when the model has no WordNet ids
-  std::string name;
-};
+using record::ClassId;
 
+/// The class with that index ("849"), WordNet id ("n04398044") or name ("teapot").
 /// Throws InputError: unknown (with the nearest names) or ambiguous (with the candidates).
 [[nodiscard]] ClassId find_class(const std::string& text, const ModelCard& card);
 
-}  // namespace tt3d
+}  // namespace tt3d::model

@@ -6,14 +6,14 @@
 #include <functional>
 #include <utility>
 
-/// Differentiable rasterisation in four operators that compose: rasterize, interpolate, texture,
-/// antialias. The split follows Laine et al., "Modular Primitives for High-Performance
-/// Differentiable Rendering", TOG 2020; the code is our own.
+/// Differentiable rasterisation in four operators: rasterize, interpolate, texture, antialias. The
+/// split follows Laine et al., "Modular Primitives for High-Performance Differentiable Rendering",
+/// TOG 2020; the code is our own.
 ///
-/// Shapes: N views, V vertices, F faces, C channels. All tensors are dense, float32 (or float64,
-/// for checks); indices int32. Row 0 is the top of the picture. Errors: shape or dtype mismatches
-/// throw c10::Error (a programming error, not a user's).
-namespace tt3d {
+/// Shapes: N views, V vertices, F faces, C channels. All tensors are dense. Values are float32 (or
+/// float64, for checks), indices int32. Row 0 is the top of the picture. Errors: a wrong shape or
+/// dtype throws c10::Error (a programming error, not a user's).
+namespace tt3d::raster {
 
 /// Finds the nearest triangle at every pixel centre.
 /// clip [N,V,4] OpenGL clip space; faces [F,3].
@@ -31,52 +31,52 @@ namespace tt3d {
 [[nodiscard]] at::Tensor interpolate(const at::Tensor& attributes, const at::Tensor& rast,
                                      const at::Tensor& faces);
 
-/// Points of a surface: what its colours are looked up by.
+/// Points of a surface, the input of a SurfaceShader.
 struct SurfacePoints {
-  at::Tensor positions;  ///< [P,3] where they lie
-  at::Tensor rast;       ///< [P,4] rows of rasterize: the triangle and the place on it
+  at::Tensor positions;  ///< [P,3] position of each point
+  at::Tensor rast;       ///< [P,4] rows of rasterize: the triangle and the barycentric weights
 };
 /// Colours of surface points: [C,P] in [0,1].
 using SurfaceShader = std::function<at::Tensor(const SurfacePoints& points)>;
 
-/// The points that the chosen pixels of `rast` show: vertices [V,3] and faces [F,3] of the surface,
-/// pixels [P] int64, flat indices of covered ones. Differentiable as interpolate is.
+/// The surface points at chosen pixels of `rast`: vertices [V,3] and faces [F,3] of the surface;
+/// pixels [P] int64, flat indices of covered pixels. Differentiable as interpolate is.
 [[nodiscard]] SurfacePoints surface_points(const at::Tensor& vertices, const at::Tensor& rast,
                                            const at::Tensor& faces, const at::Tensor& pixels);
 
-/// A picture of what pixels show: colors [C,P], C at least 3; pixels [P] int64, flat indices of
-/// covered ones, each once, below `size`, the pixels of all views. Returns [size, C + 1]: the first
-/// three rows of colors, alpha, then the other rows; 0 where nothing is painted. Differentiable
-/// with respect to colors.
+/// Writes colours into an empty picture: colors [C,P], C at least 3; pixels [P] int64, flat indices
+/// of covered pixels, each once, all below `size`, the number of pixels of all views. Returns
+/// [size, C + 1]: the first three rows of colors, then alpha, then the other rows; 0 at every other
+/// pixel. Differentiable with respect to colors.
 [[nodiscard]] at::Tensor paint_pixels(const at::Tensor& colors, const at::Tensor& pixels,
                                       int64_t size);
 
-/// Screen-space derivatives of an interpolated attribute, for mipmap levels: clip as given to
-/// rasterize. Returns [N,H,W,2C] with (d/dx, d/dy) per channel, in units per pixel (y down).
-/// Not differentiable.
+/// Screen-space derivatives of an interpolated attribute, for mipmap levels: clip is the tensor
+/// given to rasterize. Returns [N,H,W,2C] with (d/dx, d/dy) per channel, in units per pixel (y
+/// down). Not differentiable.
 [[nodiscard]] at::Tensor attribute_derivatives(const at::Tensor& attributes, const at::Tensor& rast,
                                                const at::Tensor& clip, const at::Tensor& faces);
 
-/// For each face's edge e (opposite its vertex e): the same edge in the neighbouring face, as
-/// 3 * face + edge, or -1 where there is none or more than one neighbour. Returns [F,3] int32.
+/// For edge e of each face (opposite its vertex e): the same edge in the neighbouring face, as 3 *
+/// face + edge, or -1 if the edge has no neighbouring face or more than one. Returns [F,3] int32.
 [[nodiscard]] at::Tensor edge_twins(const at::Tensor& faces);
 
-/// Antialiases silhouettes, and so gives coverage a gradient with respect to vertex positions:
-/// where two neighbouring pixels show different triangles and a silhouette edge of the nearer one
-/// passes between their centres, the pixel that the edge cuts is blended with its neighbour by
-/// the share of it that the edge uncovers (Laine et al. 2020, section 3.5).
-/// color [N,H,W,C]; twins from edge_twins. Returns [N,H,W,C]. Differentiable with respect
-/// to color and clip. Do this on premultiplied colour with alpha, and composite after.
+/// Antialiases silhouettes. This gives coverage a gradient with respect to vertex positions. If two
+/// neighbouring pixels show different triangles and a silhouette edge of the nearer one passes
+/// between their centres, the pixel cut by the edge is blended with its neighbour. The weight is
+/// the fraction of the pixel that the edge uncovers (Laine et al. 2020, section 3.5). color
+/// [N,H,W,C]; twins from edge_twins. Returns [N,H,W,C]. Differentiable with respect to color and
+/// clip. Call it on premultiplied colour with alpha, and composite after.
 [[nodiscard]] at::Tensor antialias(const at::Tensor& color, const at::Tensor& rast,
                                    const at::Tensor& clip, const at::Tensor& faces,
                                    const at::Tensor& twins);
 
-/// Texture look-up, bilinear within and between mipmap levels, wrapped at the borders.
-/// texture [H,W,C]; uv [N,h,w,2] in [0,1], (0,0) the outer corner of texel (0,0);
-/// uv_derivatives [N,h,w,4] from attribute_derivatives, or undefined for no mipmaps;
-/// mask: rast, whose background pixels return 0. Returns [N,h,w,C].
-/// Differentiable with respect to texture and uv; the level is a constant.
+/// Texture look-up, bilinear within a mipmap level, linear between levels, wrapped at the borders.
+/// texture [H,W,C]; uv [N,h,w,2] in [0,1], (0,0) is the outer corner of texel (0,0); uv_derivatives
+/// [N,h,w,4] from attribute_derivatives, or undefined for no mipmaps; rast is the mask: its
+/// background pixels return 0. Returns [N,h,w,C]. Differentiable with respect to texture and uv;
+/// the mipmap level is a constant.
 [[nodiscard]] at::Tensor texture(const at::Tensor& texture, const at::Tensor& uv,
                                  const at::Tensor& uv_derivatives, const at::Tensor& rast);
 
-}  // namespace tt3d
+}  // namespace tt3d::raster

@@ -1,0 +1,88 @@
+#pragma once
+
+#include <array>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "asset_source.h"
+
+/// Reader of binary glTF 2.0: every offset, count and index is checked against the data.
+namespace tt3d::asset {
+
+/// The values of an accessor: `count` rows of `width` numbers.
+struct AccessorValues {
+  size_t count = 0;
+  size_t width = 0;
+  std::vector<double> values;
+};
+
+/// A parsed GLB: its JSON and its buffers.
+class GltfFile {
+ public:
+  explicit GltfFile(const std::filesystem::path& path);
+
+  [[nodiscard]] const nlohmann::json& root() const { return root_; }
+  [[nodiscard]] const std::filesystem::path& path() const { return path_; }
+  [[noreturn]] void fail(const std::string& what) const;
+
+  /// Element `index` of the top-level array `name`.
+  [[nodiscard]] const nlohmann::json& item(const char* name, size_t index) const;
+  /// `object`.`key` as an index or count of at least 0. If absent: `fallback`, or an error if that
+  /// is negative.
+  [[nodiscard]] size_t whole(const nlohmann::json& object, const char* key,
+                             int64_t fallback = -1) const;
+  /// `object`.`key` as an array of N finite numbers, or `fallback`.
+  template <size_t N>
+  [[nodiscard]] std::array<double, N> numbers(const nlohmann::json& object, const char* key,
+                                              const std::array<double, N>& fallback) const;
+
+  /// The bytes of a buffer view; `stride` receives its byteStride (0: packed).
+  [[nodiscard]] std::string_view view(size_t index, size_t& stride) const;
+  /// The numbers of an accessor whose type is one of `types` ("SCALAR", "VEC3", ...); normalised
+  /// integers are returned as fractions.
+  [[nodiscard]] AccessorValues accessor(size_t index, const std::set<std::string>& types) const;
+  /// The bytes of an image: from a buffer view, a data URI or a file next to the asset.
+  [[nodiscard]] std::string image_bytes(const nlohmann::json& image) const;
+
+ private:
+  void split_chunks(const std::string& bytes);
+  void load_buffers();
+  [[nodiscard]] std::string uri_bytes(const std::string& uri) const;
+
+  std::filesystem::path path_;
+  nlohmann::json root_;
+  std::string binary_;
+  std::vector<std::string> buffers_;
+};
+
+template <size_t N>
+std::array<double, N> GltfFile::numbers(const nlohmann::json& object, const char* key,
+                                        const std::array<double, N>& fallback) const {
+  const auto found = object.find(key);
+  if (found == object.end()) return fallback;
+  std::array<double, N> values{};
+  if (!found->is_array() || found->size() != N) {
+    fail(std::string(key) + ": expected " + std::to_string(N) + " numbers");
+  }
+  for (size_t i = 0; i < N; ++i) {
+    if (!(*found)[i].is_number() || !std::isfinite((*found)[i].get<double>())) {
+      fail(std::string(key) + ": expected finite numbers");
+    }
+    values[i] = (*found)[i].get<double>();
+  }
+  return values;
+}
+
+/// A material with the way it looks up its texture.
+struct GltfMaterial {
+  SourceMaterial material;
+  std::string uv_set = "TEXCOORD_0";
+  /// uv' = transform * (u, v, 1), row-major 2x3 (KHR_texture_transform).
+  std::array<double, 6> transform{1, 0, 0, 0, 1, 0};
+};
+
+/// Material `index` of the file.
+[[nodiscard]] GltfMaterial read_gltf_material(const GltfFile& file, size_t index);
+
+}  // namespace tt3d::asset

@@ -1,0 +1,122 @@
+#include <ATen/ATen.h>
+
+#include "run_files.h"
+#include "tt3d/json.h"
+#include "tt3d/run.h"
+
+/// Stages field and mesh: from photographs or an imported asset to the clean object.
+namespace tt3d::run {
+namespace fs = std::filesystem;
+using at::Tensor;
+
+namespace {
+
+double object_psnr(const object::Object& object, const capture::Capture& capture,
+                   Progress& progress) {
+  const mesh::RenderMesh prepared(object.mesh.faces);
+  const Tensor& vertices = object.mesh.vertices;
+  at::NoGradGuard guard;
+  return capture::mean_psnr(
+      capture.test,
+      [&](const scene::Camera& camera) {
+        return mesh::render_mesh(
+            vertices, vertices, prepared, {camera},
+            [&](const raster::SurfacePoints& p) { return object.appearance->color(p); })[0];
+      },
+      progress);
+}
+
+/// Normalises the asset and merges vertices that texture seams had split, so that the surface does
+/// not tear when they move.
+object::Object object_of(const asset::TexturedMesh& asset, const scene::Normalization& n) {
+  const Tensor placed = n.to_inside(asset.vertices);
+  const auto [vertices, number, count] = at::unique_dim(placed, 0, true, /*return_inverse=*/true);
+  const Tensor faces =
+      number.index_select(0, asset.faces.flatten().to(at::kLong)).view({-1, 3}).to(at::kInt);
+  // Merging can leave faces without area.
+  const auto same = [&](int64_t i, int64_t k) { return faces.select(1, i) == faces.select(1, k); };
+  const Tensor kept = (~(same(0, 1) | same(1, 2) | same(2, 0))).nonzero().flatten();
+  scene::UvMap map = {asset.map.uvs, asset.map.faces.index_select(0, kept)};
+  return {{vertices.contiguous(), faces.index_select(0, kept)},
+          std::make_shared<object::TextureAppearance>(asset.texture.to(at::kFloat) / 255,
+                                                      std::move(map), object::Part::kTexture),
+          {}};
+}
+
+scene::Placement placement_of(const asset::TexturedMesh& asset, const fs::path& path) {
+  scene::Placement placement;
+  placement.frame = asset::view_frame(asset, path);
+  const auto& c = placement.frame.centre;
+  const Tensor centre = at::tensor({c[0], c[1], c[2]}, at::kDouble);
+  const double radius = (asset.vertices.to(at::kDouble) - centre).norm(2, {1}).max().item<double>();
+  placement.normalization = {1 / radius, placement.frame.centre};
+  placement.frame = {{0, 0, 0},
+                     placement.frame.radius / radius,
+                     placement.frame.distance / radius,
+                     placement.frame.fov_y_deg};
+  return placement;
+}
+
+}  // namespace
+
+scene::Placement Run::placement(Progress& progress) {
+  const fs::path& path = config_.asset.path;
+  if (from_asset()) return placement_of(assets_.load(path), path);
+  const capture::Capture& photos = photographs(progress);
+  return {photos.normalization, capture::capture_view_frame(photos)};
+}
+
+object::Object Run::clean_object() const {
+  return object::load_object(folder_ / "mesh" / "mesh.safetensors");
+}
+
+void Run::run_field(Progress& progress) {
+  const fs::path folder = folder_ / "field";
+  const capture::Capture& photos = photographs(progress);
+  field::FieldOptions options = config_.field;
+  options.device = device_;
+  const field::RadianceField field =
+      field::fit_field(photos, options, config_.seed, folder / kCheckpoint, progress);
+  const double step = field::ray_step(config_.field);
+  const double psnr = capture::mean_psnr(
+      photos.test,
+      [&](const scene::Camera& camera) { return field::render_field(field, camera, step); },
+      progress);
+  field.save(folder / "field.safetensors");
+  write_json(folder / "metrics.json",
+             to_json(record::FieldMetrics{psnr, static_cast<int64_t>(photos.test.size())}));
+}
+
+void Run::run_mesh(Progress& progress) {
+  if (from_asset()) return import_asset();
+  const capture::Capture& photos = photographs(progress);
+  const field::RadianceField field =
+      field::RadianceField::load(folder_ / "field" / "field.safetensors").to(device_);
+  const object::Object object =
+      mesh::refine_mesh(mesh::extract_mesh(field, config_.mesh, progress), field.appearance, photos,
+                        config_.mesh, config_.seed, folder_ / "mesh" / kCheckpoint, progress);
+  save_mesh_stage(object, photos.normalization, object_psnr(object, photos, progress));
+}
+
+void Run::import_asset() {
+  const fs::path& path = config_.asset.path;
+  const asset::TexturedMesh& asset = assets_.load(path);
+  input_hashes_[fs::absolute(path).string()] = sha256_file(path);
+  const scene::Normalization normalization = placement_of(asset, path).normalization;
+  save_mesh_stage(object_of(asset, normalization), normalization, std::nullopt);
+}
+
+void Run::save_mesh_stage(const object::Object& object, const scene::Normalization& normalization,
+                          std::optional<double> psnr) {
+  const fs::path folder = folder_ / "mesh";
+  const mesh::MeshFacts facts = mesh::inspect(object.mesh);
+  object::save_object(object, folder / "mesh.safetensors");
+  asset::write_ply({normalization.to_world(object.mesh.vertices), object.mesh.faces},
+                   folder / "mesh.ply");
+  write_json(
+      folder / "metrics.json",
+      to_json(record::MeshMetrics{facts.faces, facts.vertices, facts.components,
+                                  facts.non_manifold_edges, facts.euler, facts.closed(), psnr}));
+}
+
+}  // namespace tt3d::run

@@ -1,0 +1,20 @@
+#pragma once
+
+#include <string>
+
+#include "tt3d/error.h"
+
+namespace tt3d::testing {
+
+/// The message of the InputError that `action` throws; "" if it throws nothing.
+template <typename Action>
+std::string error_of(const Action& action) {
+  try {
+    action();
+  } catch (const InputError& error) {
+    return error.what();
+  }
+  return "";
+}
+
+}  // namespace tt3d::testing
