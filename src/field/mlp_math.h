@@ -22,7 +22,8 @@ constexpr int kRow = kBlock + 16;
 constexpr int64_t padded(int64_t n) { return (n + 15) / 16 * 16; }
 
 /// The vector width of an instruction set, and the tiles of a product that its registers can hold.
-/// Vectors wider than the registers go through memory, which is fifty times slower.
+/// If a vector is wider than a register, the compiler keeps it in memory; the loop is then fifty
+/// times slower.
 template <int kVectorBytes>
 struct Processor {
   template <typename T>

@@ -431,7 +431,7 @@ void rasterize(const Cpu&, const T* clip, const int32_t* faces, T* rast, const S
   constexpr int64_t kLeastRows = 16;
   const int64_t share = at::get_num_threads() / std::max<int64_t>(1, s.views);
   const int64_t bands = std::clamp<int64_t>(share, 1, std::max<int64_t>(1, s.height / kLeastRows));
-  // Computed once: about six triangles share a vertex, and all bands do.
+  // Project each vertex once: about six triangles and all bands use the result.
   const auto points = std::make_unique_for_overwrite<VertexBounds[]>(s.views * s.vertices);
   at::parallel_for(0, s.views * s.vertices, 4096, [&](int64_t first, int64_t last) {
     place_loop(clip, s, first, last, points.get());

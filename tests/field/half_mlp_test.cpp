@@ -93,7 +93,7 @@ TEST(HalfMlp, FollowsTheNetworkInFloat32) {
   const auto weights = network({35, 64, 64, 6});
   const Tensor x = testing::uniform({35, 3000}, -1, 1, 9).to(at::kFloat);
   const Tensor unit = testing::uniform({6, 3000}, -1, 1, 10).to(at::kFloat);
-  // Gradients far below float16's smallest number and far above its largest survive too.
+  // Gradients far below the smallest number of float16, or far above its largest, keep their value.
   for (const double size : {1e-20, 1e-9, 1.0, 1e9}) {
     const Tensor grad = unit * size;
     expect_close(answer_of(half_mlp, x, weights, grad), answer_of(mlp, x, weights, grad), 2e-2);

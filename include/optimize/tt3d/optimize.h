@@ -78,10 +78,10 @@ struct LoopOptions {
 };
 
 /// Runs all steps. Resumes from the checkpoint if it exists; the result has the same bytes as
-/// without the stop. If a loss is not finite or explodes (exceeds a thousand times the mean
-/// magnitude so far, plus one), rolls back to the last checkpoint with half the learning rates, at
-/// most three times. If memory runs out, halves the batch. Throws NumericError, ResourceError,
-/// Interrupted.
+/// without the stop. If a loss is not finite or explodes (its magnitude exceeds 1000 times the
+/// sum of 1 and the mean magnitude so far), rolls back to the last checkpoint with half the
+/// learning rates, at most three times. If memory runs out, halves the batch. Throws NumericError,
+/// ResourceError, Interrupted.
 void run_loop(Optimization& optimization, const LoopOptions& options, Progress& progress);
 
 }  // namespace tt3d::optimize
