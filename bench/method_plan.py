@@ -101,7 +101,7 @@ def _leave_one_out(methods: tuple[str, ...], objects: tuple[str, ...], target: s
 
 
 def _betas(objects: tuple[str, ...], target: str) -> list[Cell]:
-    """The paper's objective: no floors, only beta."""
+    """The objective of `dual` without floors: only beta sets the balance."""
     return [
         Cell("beta", f"beta {beta}", "dual", o, target, settings={
             "attack.beta": str(beta), "attack.psnr_floor": "0", "attack.ssim_floor": "0",

@@ -267,7 +267,11 @@ LONGER = "## {share} times as many pictures\n\nOn one object, through EfficientN
 OTHER_PRESETS = (
     "## Other presets\n\nOn one object. These presets serve other purposes than transfer.\n"
 )
-SECOND_TARGET = "## Another target: {target}\n"
+SECOND_TARGET = """## Another target: {target}
+
+The settings of `strong` were chosen with this target and *vase* (decision 11), so its row here is
+not independent of the tuning.
+"""
 LEFT_OUT = """## One architecture left out
 
 The surrogates are one model of each of the three other architectures. The figure is the success
@@ -275,4 +279,8 @@ on the architecture left out (EfficientNet-Lite: mean of Lite0, 1 and 2). They s
 as many pictures as a single surrogate, all together.
 """
 ENSEMBLE = "## All four architectures as surrogates\n"
-BETA = "## Beta\n\n`dual` with the paper's objective and no floors: beta alone sets the balance.\n"
+BETA = """## Beta
+
+`dual` with its own objective (bare logits, where the paper has cross-entropy) and no floors: beta
+alone sets the balance.
+"""

@@ -29,9 +29,6 @@ void apply(Arguments& a, const Common& common) {
 void evaluate(Arguments& a, const Common& common) {
   apply(a, common);
   const auto progress = make_progress(common);
-  if (!a.options.lpips.empty() && a.options.lpips_backbone.empty()) {
-    a.options.lpips_backbone = "models/lpips/" + a.options.lpips + ".pth";
-  }
   asset::AssetFiles assets;
   const record::EvaluationRecord record = evaluate::evaluate_asset(a.options, assets, *progress);
   record::save(record, a.out);
@@ -82,10 +79,8 @@ void add_evaluate(CLI::App& app, Common& common) {
   command->add_option("--clean", a->options.clean, "file of the object before the attack");
   add_key_option(*command, "--background", a->keys, "background");
   command->add_option("--out", a->out, "FILE.json; also writes FILE.csv beside it")->required();
-  command->add_option("--lpips", a->options.lpips,
-                      "network of LPIPS against --clean: vgg, alex or squeeze");
-  command->add_option("--lpips-backbone", a->options.lpips_backbone,
-                      "weights of this network from torchvision; default models/lpips/NET.pth");
+  add_key_option(*command, "--lpips", a->keys, "lpips");
+  add_key_option(*command, "--lpips-backbone", a->keys, "lpips_backbone");
   add_key_option(*command, "--geometry", a->keys, "geometry");
   add_view_options(*command, *a);
   add_common_options(*command, common);

@@ -66,8 +66,11 @@ json tensors_info(const fs::path& path) {
 json model_info(const std::string& path) {
   const auto model = model::Classifier::load(path);
   const model::ModelCard& card = model->card();
-  return {{"kind", "model"},
+  return {{"kind", model->is_detector() ? "detector" : "model"},
           {"name", card.name},
+          {"anchors", model->is_detector() ? json(model->anchors()) : json()},
+          {"scores", name_of(model->scores())},
+          {"label_set", card.label_set},
           {"input_size", {card.height, card.width}},
           {"classes", card.labels.size()},
           {"licence", card.licence},

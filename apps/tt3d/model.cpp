@@ -56,9 +56,19 @@ Json card_json(const model::Classifier& model) {
           {"input_size", {card.height, card.width}},
           {"resize", card.resize},
           {"interpolation", card.interpolation},
+          {"kind", model.is_detector() ? "detector" : "classifier"},
+          {"anchors", model.is_detector() ? Json(model.anchors()) : Json()},
           {"classes", card.labels.size()},
+          {"label_set", card.label_set},
+          {"scores", name_of(model.scores())},
           {"sha256", card.sha256},
           {"weights_hash", model.weights_hash()}};
+}
+
+std::string kind_of(const model::Classifier& model) {
+  if (!model.is_detector()) return "classifier";
+  return model.anchors() == 0 ? "detector"
+                              : fmt::format("detector with {} anchors", model.anchors());
 }
 
 void check(const ModelArguments& arguments, const Common& common) {
@@ -88,8 +98,9 @@ void check(const ModelArguments& arguments, const Common& common) {
     return;
   }
   const model::ModelCard& card = model->card();
-  std::cout << fmt::format("{}: {}, {} classes, {}x{} pixels, read in {:.2f} s\n", card.name,
-                           card.architecture, card.labels.size(), card.height, card.width, seconds);
+  std::cout << fmt::format("{}: {}, {}, {} classes, {}x{} pixels, read in {:.2f} s\n", card.name,
+                           card.architecture, kind_of(*model), card.labels.size(), card.height,
+                           card.width, seconds);
   std::cout << (probe.present
                     ? fmt::format("probe: logits within {:.1e} of their range, cosine of the input "
                                   "gradient {:.7f}\n",
@@ -164,7 +175,8 @@ std::vector<Answer> answers(const model::Classifier& model, const std::vector<fs
     const size_t end = std::min(files.size(), start + static_cast<size_t>(batch));
     std::vector<at::Tensor> images;
     for (size_t i = start; i < end; ++i) images.push_back(picture(files[i], model.card()));
-    const at::Tensor probabilities = model.logits(at::cat(images, 0).to(device)).softmax(1).cpu();
+    const at::Tensor probabilities =
+        model::probabilities(model, model.logits(at::cat(images, 0).to(device))).cpu();
     const auto [values, indices] = probabilities.topk(count, 1);
     for (size_t i = start; i < end; ++i) {
       Answer answer{files[i], {}, {}};

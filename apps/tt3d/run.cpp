@@ -79,12 +79,17 @@ void fit(const Arguments& a, const Common& common, const CLI::App& command) {
 }
 
 /// Changes keys of an existing run and runs a stage.
-run::Run continue_run(const Arguments& a, const Common& common, const std::string& stage) {
+run::Run continue_run(const Arguments& a, const Common& common, const CLI::App& command,
+                      const std::string& stage) {
   const at::Device device = apply_common(common);
   run::Run run = run::Run::open(a.run);
   run.use_device(device);
   std::vector<run::Assignment> assignments = a.assignments;
   for (const std::string& text : a.sets) assignments.push_back(run::parse_assignment(text));
+  if (command.count("--seed") > 0) {
+    assignments.push_back({"seed", static_cast<int64_t>(common.seed)});
+  }
+  if (a.restart) run.forget_from(stage);
   if (!assignments.empty()) run.reconfigure(assignments, stage);
   // Making the page takes seconds, and eval/ may have new records.
   if (stage == "report") run.forget(stage);
@@ -108,10 +113,14 @@ report::ComparedRun compared_run(const fs::path& folder) {
 }
 
 /// Makes the page of one run, or the page that compares several runs.
-void report_runs(Arguments& a, const Common& common) {
+void report_runs(Arguments& a, const Common& common, const CLI::App& command) {
+  if (command.count("--seed") > 0) {
+    throw InputError("report: draws nothing at random; give --seed to mesh, attack or evaluate");
+  }
   if (a.runs.size() == 1 && a.out.empty()) {
     a.run = a.runs.front();
-    std::cout << (continue_run(a, common, "report").folder() / "report.html").string() << "\n";
+    std::cout << (continue_run(a, common, command, "report").folder() / "report.html").string()
+              << "\n";
     return;
   }
   if (a.out.empty()) throw InputError("report of several runs: give a folder with --out");
@@ -148,7 +157,7 @@ void attack(Arguments a, const Common& common, const CLI::App& command) {
   std::vector<std::string> folders;
   for (const std::string& run : a.also) folders.push_back(fs::absolute(run));
   a.assignments.push_back({"attack.also", folders});
-  const run::Run run = continue_run(a, common, "attack");
+  const run::Run run = continue_run(a, common, command, "attack");
   std::cout << (run.folder() / "attack" / "attack.safetensors").string() << "\n";
 }
 
@@ -167,6 +176,7 @@ CLI::App* stage_command(CLI::App& app, Common& common, Arguments& a, const std::
   CLI::App* command = app.add_subcommand(name, description);
   command->add_option("RUN", a.run, "run folder")->required();
   command->add_option("--set", a.sets, "key=value of the configuration");
+  command->add_flag("--restart", a.restart, "run this stage and the later ones again");
   add_common_options(*command, common);
   add_gpu_options(*command, common);
   return command;
@@ -199,11 +209,12 @@ void add_fit(CLI::App& app, Common& common) {
 
 void add_mesh(CLI::App& app, Common& common) {
   auto a = std::make_shared<Arguments>();
-  stage_command(app, common, *a, "mesh", "extract and refine a mesh from the radiance field")
-      ->callback([a, &common] {
-        const fs::path folder = continue_run(*a, common, "mesh").folder();
-        std::cout << read_file(folder / "mesh" / "metrics.json");
-      });
+  CLI::App* command =
+      stage_command(app, common, *a, "mesh", "extract and refine a mesh from the radiance field");
+  command->callback([a, &common, command] {
+    const fs::path folder = continue_run(*a, common, *command, "mesh").folder();
+    std::cout << read_file(folder / "mesh" / "metrics.json");
+  });
 }
 
 void add_attack(CLI::App& app, Common& common) {
@@ -234,11 +245,11 @@ void add_attack(CLI::App& app, Common& common) {
 
 void add_bake(CLI::App& app, Common& common) {
   auto a = std::make_shared<Arguments>();
-  stage_command(app, common, *a, "bake",
-                "write textured files of the clean and the adversarial object")
-      ->callback([a, &common] {
-        std::cout << (continue_run(*a, common, "bake").folder() / "asset").string() << "\n";
-      });
+  CLI::App* command = stage_command(app, common, *a, "bake",
+                                    "write textured files of the clean and the adversarial object");
+  command->callback([a, &common, command] {
+    std::cout << (continue_run(*a, common, *command, "bake").folder() / "asset").string() << "\n";
+  });
 }
 
 void add_report(CLI::App& app, Common& common) {
@@ -251,7 +262,7 @@ void add_report(CLI::App& app, Common& common) {
       "folder of comparison.html, comparison.json, and the tables as .csv and .tex");
   command->add_option("--set", a->sets, "key=value of the configuration; for a single run");
   add_common_options(*command, common);
-  command->callback([a, &common] { report_runs(*a, common); });
+  command->callback([a, &common, command] { report_runs(*a, common, *command); });
 }
 
 }  // namespace

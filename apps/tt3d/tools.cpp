@@ -190,7 +190,7 @@ struct JudgeArguments {
   std::string task, text, model, out;
   evaluate::EvaluateOptions options;  ///< uses asset, views, background and renderer
   KeyList keys, renderer_keys;        ///< bound to options
-  double threshold = 0.3;
+  double threshold = 0.5;             ///< as in the paper
 
   JudgeArguments() {
     options.views = 20;

@@ -12,7 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from tt3d_tools.export import add_card_options, parse_labels
-from tt3d_tools.package import card_text, file_sha256, write_text_atomic
+from tt3d_tools.package import (
+    card_text,
+    check_unit_range,
+    file_sha256,
+    score_keys,
+    write_text_atomic,
+)
+from tt3d_tools.weights import WeightsError
 
 
 def make_card(archive: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -29,6 +36,7 @@ def make_card(archive: Path, options: argparse.Namespace) -> dict[str, Any]:
         "mean": options.mean,
         "std": options.std,
         "labels": parse_labels(options.labels),
+        **score_keys(options.label_set, options.scores),
         "top1": None,
         "top5": None,
         "n": None,
@@ -52,7 +60,13 @@ def main() -> int:
     if card.exists() and not options.force:
         print(f"error: {card}: exists already; --force replaces it", file=sys.stderr)
         return 2
-    write_text_atomic(card, card_text(make_card(archive, options)))
+    try:
+        check_unit_range(options.mean, options.std)
+        content = make_card(archive, options)
+    except (WeightsError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    write_text_atomic(card, card_text(content))
     print(f"wrote {card}; check it with: tt3d model check {archive}")
     return 0
 

@@ -10,21 +10,49 @@ from pathlib import Path
 import torch
 
 from tt3d_tools.accuracy import measure
-from tt3d_tools.package import ModelSpec, write_package
+from tt3d_tools.package import SCORES, ModelSpec, check_unit_range, write_package
 from tt3d_tools.weights import WeightsError, load_weights
 from tt3d_tools.zoo import LITE_SIZES, NO_WEIGHTS, PAPER, build_named
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
+def label_name(path: Path, value: object) -> str:
+    """Return the name of a class: a string, or the last string of [WordNet id, name]."""
+    if isinstance(value, list) and value and all(isinstance(part, str) for part in value):
+        return str(value[-1])
+    if isinstance(value, str):
+        return value
+    raise WeightsError(f"{path}: {json.dumps(value)}: expected the name of a class")
+
+
+def json_labels(path: Path, content: str) -> list[str]:
+    """Return the names of a JSON list, or of an object with the keys "0", "1", ..."""
+    try:
+        labels = json.loads(content)
+    except json.JSONDecodeError as error:
+        raise WeightsError(f"{path}:{error.lineno}: not JSON: {error.msg}") from error
+    if isinstance(labels, dict):
+        keys = [str(i) for i in range(len(labels))]
+        if sorted(keys) != sorted(labels):
+            raise WeightsError(
+                f"{path}: expected a list of names, or an object whose keys are the class "
+                f'indices "0" to "{len(labels) - 1}"'
+            )
+        labels = [labels[key] for key in keys]
+    if not isinstance(labels, list):
+        raise WeightsError(f"{path}: expected a list of names")
+    return [label_name(path, label) for label in labels]
+
+
 def parse_labels(text: str) -> str | list[str]:
-    """Return "imagenet-1k", the lines of a text file, or the strings of a JSON list."""
+    """Return "imagenet-1k", the lines of a text file, or the names in a JSON file."""
     if text == "imagenet-1k":
         return text
     path = Path(text)
-    content = path.read_text(encoding="utf-8")
+    content = path.read_text(encoding="utf-8-sig")
     if path.suffix == ".json":
-        return [str(label) for label in json.loads(content)]
+        return json_labels(path, content)
     return [line.strip() for line in content.splitlines() if line.strip()]
 
 
@@ -38,6 +66,15 @@ def add_card_options(parser: argparse.ArgumentParser, required: bool) -> None:
     parser.add_argument("--interpolation", choices=("bilinear", "bicubic"), default="bilinear")
     parser.add_argument(
         "--labels", default="imagenet-1k", help="imagenet-1k, or a file with the names"
+    )
+    parser.add_argument(
+        "--label-set", default="", help="name of the labels, to give a class for them: coco=bird"
+    )
+    parser.add_argument(
+        "--scores",
+        choices=SCORES,
+        help="how outputs become probabilities (default: softmax for a classifier, sigmoid for a "
+        "detector); none: the network ends in a softmax or sigmoid",
     )
     parser.add_argument("--name", help="name of the package")
     parser.add_argument("--licence", default="unknown")
@@ -56,6 +93,7 @@ def build_own(target: str, options: argparse.Namespace) -> ModelSpec:
         raise WeightsError(f"{target}: {error}; expected my_package.my_module:build") from error
     if options.weights and options.weights != NO_WEIGHTS:
         load_weights(model, Path(options.weights))
+    check_unit_range(options.mean, options.std)
     height, width = (options.size * 2)[:2]
     return ModelSpec(
         name=options.name or module.rsplit(".", 1)[-1],
@@ -69,6 +107,8 @@ def build_own(target: str, options: argparse.Namespace) -> ModelSpec:
         mean=tuple(options.mean),
         std=tuple(options.std),
         labels=parse_labels(options.labels),
+        label_set=options.label_set,
+        scores=options.scores,
     )
 
 
@@ -78,6 +118,7 @@ def build(target: str, options: argparse.Namespace) -> ModelSpec:
         return build_own(target, options)
     spec = build_named(target, options.weights)
     spec.name = options.name or spec.name
+    spec.scores = options.scores
     return spec
 
 

@@ -26,6 +26,7 @@ MODELS = {
     "zeroshot": ("CLIP", "openai/clip-vit-base-patch32"),
 }
 CAPTION_TOKENS = 30
+TEXT_THRESHOLD = 0.25  # words below it are left out of a box's phrase; the model's own default
 
 
 def check_folder(task: str, folder: str) -> None:
@@ -57,10 +58,10 @@ def load(task: str, folder: str) -> tuple[Any, Any]:
 
 
 def says(text: str, phrase: str) -> bool:
-    """Return whether the phrase without its article, or its last word, is a word of the text."""
-    words = re.sub(r"^(a|an|the)\s+", "", phrase.lower().strip(" ."))
-    options = {words, words.split()[-1]}
-    return any(re.search(rf"\b{re.escape(o)}(s|es)?\b", text.lower()) for o in options)
+    """Return whether the text has the whole phrase, without its article; a plural counts."""
+    words = re.sub(r"^(a|an|the)\s+", "", phrase.lower().strip(" .")).split()
+    pattern = r"\s+".join(re.escape(word) for word in words)
+    return bool(words) and re.search(rf"\b{pattern}(s|es)?\b", text.lower()) is not None
 
 
 def detect(processor: Any, model: Any, image: Any, job: dict[str, Any]) -> dict[str, Any]:
@@ -72,7 +73,7 @@ def detect(processor: Any, model: Any, image: Any, job: dict[str, Any]) -> dict[
         outputs,
         inputs.input_ids,
         threshold=job["threshold"],
-        text_threshold=job["threshold"],
+        text_threshold=min(TEXT_THRESHOLD, job["threshold"]),
         target_sizes=[image.size[::-1]],
     )[0]
     labels = [str(x) for x in found.get("text_labels") or found["labels"]]

@@ -5,6 +5,7 @@ import json
 import os
 import shutil
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,10 @@ from typing import Any
 import torch
 
 from tt3d_tools.probe import make_probe
+from tt3d_tools.weights import WeightsError
 
 MAX_BATCH = 4096
+SCORES = ("softmax", "sigmoid", "none")
 
 
 @dataclass
@@ -31,6 +34,8 @@ class ModelSpec:
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
     labels: str | list[str] = "imagenet-1k"
+    label_set: str = ""
+    scores: str | None = None
     accuracy: dict[str, float | int | None] = field(
         default_factory=lambda: {"top1": None, "top5": None, "n": None}
     )
@@ -40,6 +45,34 @@ def file_sha256(path: Path) -> str:
     """Return the SHA-256 of a file as hex."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def check_unit_range(mean: Sequence[float], std: Sequence[float]) -> None:
+    """Raise WeightsError if mean or std belong to pictures with values in [0,255]."""
+    if max(abs(value) for value in (*mean, *std)) <= 2:
+        return
+    divided = [" ".join(f"{value / 255:.6g}" for value in values) for values in (mean, std)]
+    raise WeightsError(
+        "--mean and --std are for pictures in [0,255], expected values for pictures in [0,1]; "
+        f"divide both by 255: --mean {divided[0]} --std {divided[1]}"
+    )
+
+
+def score_keys(label_set: str, scores: str | None) -> dict[str, str]:
+    """Return the optional keys of a card that are set."""
+    return {k: v for k, v in (("label_set", label_set), ("scores", scores)) if v}
+
+
+def check_logits(name: str, probe: dict[str, Any], scores: str | None) -> None:
+    """Raise WeightsError if the outputs are probabilities and the card does not say so."""
+    logits = torch.tensor(probe["cases"][0]["logits"])
+    if scores == "none" or logits.min() < 0 or logits.max() > 1:
+        return
+    if torch.allclose(logits.sum(1), torch.ones(len(logits)), atol=1e-4):
+        raise WeightsError(
+            f"{name}: gives probabilities, expected logits; remove its softmax, or say so with "
+            "--scores none"
+        )
 
 
 def card_of(spec: ModelSpec) -> dict[str, Any]:
@@ -55,6 +88,7 @@ def card_of(spec: ModelSpec) -> dict[str, Any]:
         "mean": list(spec.mean),
         "std": list(spec.std),
         "labels": spec.labels,
+        **score_keys(spec.label_set, spec.scores),
         "parameters": sum(p.numel() for p in spec.model.parameters()),
         **spec.accuracy,
     }
@@ -101,6 +135,7 @@ def write_package(
     archive, card_path = out / f"{spec.name}.pt2", out / f"{spec.name}.json"
     with torch.enable_grad():
         probe = make_probe(model, card, probe_batches)
+    check_logits(spec.name, probe, spec.scores)
     program = export_program(model, spec.input_size)
     folder = Path(tempfile.mkdtemp(prefix=f".{spec.name}.", dir=out))
     try:

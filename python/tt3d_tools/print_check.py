@@ -224,8 +224,7 @@ def gamut_finding(mesh: Mesh, palette: np.ndarray) -> dict[str, Any]:
         share < 0.02,
         share,
         f"{share:.1%} of the surface has colours that the printer cannot mix",
-        "run the attack with the non-printability regulariser, or expect duller colours and "
-        "measure the print",
+        "raise attack.printability_weight, or expect duller colours and measure the print",
     )
 
 

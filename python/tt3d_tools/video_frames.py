@@ -32,31 +32,78 @@ TRACKING_RATE = 10  # frames a second for the tracker
 SEEK_SECONDS = 4  # frames further apart are sought; a seek decodes from the last key frame
 
 
-def probe(video: str) -> dict[str, Any]:
-    """Return upright size, duration in seconds and frame rate of the first video stream."""
-    ffprobe = toolkit.need_program("ffprobe", "video-score", "ffmpeg")
-    shown = toolkit.run_checked(
-        [ffprobe, "-v", "error", "-of", "json", "-show_streams", "-show_format", video],
-        f"{video}: reading it",
-        120,
-    )
-    found = json.loads(shown)
-    streams = [s for s in found.get("streams", []) if s.get("codec_type") == "video"]
-    if not streams:
-        raise toolkit.InputProblem(f"{video}: has no video stream")
-    stream = streams[0]
+def shown_size(stream: dict[str, Any]) -> list[int]:
+    """Return width and height of the upright frame with square pixels."""
+    size = [int(stream["width"]), int(stream["height"])]
+    across, _, down = stream.get("sample_aspect_ratio", "1:1").partition(":")
+    if across.isdigit() and down.isdigit() and int(across) > 0 and int(down) > 0:
+        size[0] = max(1, round(size[0] * int(across) / int(down)))
     turn = int(float(stream.get("tags", {}).get("rotate", 0)))
     for data in stream.get("side_data_list", []):
         turn = int(data.get("rotation", turn))
-    size = [int(stream["width"]), int(stream["height"])]
     if turn % 180 != 0:
         size.reverse()
-    duration = float(stream.get("duration") or found.get("format", {}).get("duration") or 0)
-    over, under = (float(x) for x in stream.get("avg_frame_rate", "0/1").split("/"))
-    rate = over / under if under else 0
+    return size
+
+
+def ratio(text: str) -> float:
+    """Return the value of a fraction like "30000/1001"; 0 if it has none."""
+    over, _, under = text.partition("/")
+    return float(over) / float(under) if float(under or 0) else 0.0
+
+
+def ask(ffprobe: str, video: str, *options: str) -> dict[str, Any]:
+    """Return what ffprobe says about the first video stream that is not a cover picture."""
+    command = [ffprobe, "-v", "error", "-select_streams", "V:0", "-of", "json", *options, video]
+    found: dict[str, Any] = json.loads(toolkit.run_checked(command, f"{video}: reading it", 120))
+    return found
+
+
+def packet_times(ffprobe: str, video: str) -> tuple[list[float], int]:
+    """Return the times at which frames are shown, in order, and the number of frames.
+
+    A raw stream has frames without times.
+    """
+    packets = ask(ffprobe, video, "-show_entries", "packet=pts_time").get("packets", [])
+    return sorted(float(p["pts_time"]) for p in packets if "pts_time" in p), len(packets)
+
+
+def timing(ffprobe: str, video: str, found: dict[str, Any]) -> dict[str, float]:
+    """Return duration and frame rate of the video stream, and its `lead`.
+
+    The lead is the time in seconds by which the stream starts after the file. Matroska counts the
+    duration from 0 even if the first frame is later. Files without a duration (WebM of a browser,
+    raw H.264) are read to the end.
+    """
+    stream, container = found["stream"], found["format"]
+    duration = float(stream.get("duration") or container.get("duration") or 0)
+    rate = ratio(stream.get("avg_frame_rate", "0/1")) or ratio(stream.get("r_frame_rate", "0/1"))
+    start, file_start = (float(x.get("start_time") or 0) for x in (stream, container))
+    if "matroska" in container.get("format_name", ""):
+        duration -= start
     if duration <= 0 or rate <= 0:
+        times, count = packet_times(ffprobe, video)
+        if len(times) > 1 and times[-1] > times[0]:
+            # The last frame is shown as long as a frame in the mean.
+            duration = (times[-1] - times[0]) * len(times) / (len(times) - 1)
+            rate = len(times) / duration
+        elif count > 0 and rate > 0:
+            duration = count / rate
+    return {"duration": duration, "rate": rate, "lead": max(0.0, start - file_start)}
+
+
+def probe(video: str) -> dict[str, Any]:
+    """Return upright size, duration in seconds, frame rate and lead of the first video stream."""
+    ffprobe = toolkit.need_program("ffprobe", "video-score", "ffmpeg")
+    found = ask(ffprobe, video, "-show_streams", "-show_format")
+    if not found.get("streams"):
+        raise toolkit.InputProblem(f"{video}: has no video stream")
+    stream = found["streams"][0]
+    facts = timing(ffprobe, video, {"stream": stream, "format": found.get("format", {})})
+    if facts["duration"] <= 0 or facts["rate"] <= 0:
         raise toolkit.InputProblem(f"{video}: has no frames")
-    return {"width": size[0], "height": size[1], "duration": duration, "rate": rate}
+    width, height = shown_size(stream)
+    return {"width": width, "height": height, **facts}
 
 
 def ffmpeg_frames(
@@ -68,7 +115,7 @@ def ffmpeg_frames(
     ffmpeg = toolkit.need_program("ffmpeg", "video-score")
     # Each decoding thread holds its own frames, which may be 4K.
     command = [ffmpeg, "-nostdin", "-v", "error", "-threads", "4", *before, "-i", video]
-    command += ["-map", "0:v:0", *after]
+    command += ["-map", "0:V:0", *after]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     size = width * height * 3
     # Errors go to a file: a broken video makes more of them than a pipe can hold.
@@ -94,11 +141,13 @@ def decode(video: str, rate: float, width: int, height: int) -> Iterator[np.ndar
     yield from ffmpeg_frames(video, [], ["-vf", filters], width, height)
 
 
-def seek(video: str, rate: float, count: int, width: int, height: int) -> Iterator[np.ndarray]:
+def seek(
+    video: str, rate: float, lead: float, count: int, width: int, height: int
+) -> Iterator[np.ndarray]:
     """Yield the same frames; each is found by a jump to the key frame before it."""
     only = ["-vf", f"scale={width}:{height}:flags=area", "-frames:v", "1"]
     for i in range(count):
-        yield from ffmpeg_frames(video, ["-ss", f"{i / rate:.6f}"], only, width, height)
+        yield from ffmpeg_frames(video, ["-ss", f"{lead + i / rate:.6f}"], only, width, height)
 
 
 def first_box(job: dict[str, Any], width: int, height: int) -> list[int]:
@@ -183,7 +232,7 @@ def cut_frames(
     box = first_box(job, facts["width"], facts["height"])
     small = [x * s for x, s in zip(box, to_frame, strict=True)]
     if rate * SEEK_SECONDS < 1:
-        pictures = seek(job["video"], rate, job["frames"], width, height)
+        pictures = seek(job["video"], rate, facts["lead"], job["frames"], width, height)
     else:
         pictures = decode(job["video"], rate, width, height)
     follower, frames = None, []
@@ -200,7 +249,7 @@ def cut_frames(
             {
                 "file": str(path),
                 "index": round(i / rate * facts["rate"]),
-                "seconds": i / rate,
+                "seconds": facts["lead"] + i / rate,
                 "box": [round(x / s) for x, s in zip(small, to_frame, strict=True)],
             }
         )

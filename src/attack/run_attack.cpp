@@ -92,15 +92,14 @@ Attack::~Attack() = default;
 void Attack::restart() {
   offsets_ = at::zeros_like(input_.object.mesh.vertices);
   appearance_ = starting_appearance(input_, options_);
-  moment1_.clear();
-  moment2_.clear();
   velocity_.clear();
+  std::vector<Tensor> parameters;
   for (const FreeParameter& p : free_parameters()) {
-    moment1_.push_back(at::zeros_like(p.tensor));
-    moment2_.push_back(at::zeros_like(p.tensor));
+    parameters.push_back(p.tensor);
     if (options_.schedule.momentum > 0) velocity_.push_back(at::zeros_like(p.tensor));
     p.tensor.requires_grad_(true);
   }
+  moments_.restart(parameters);
   curves_.clear();
   epochs_.clear();
   best_ = {};
@@ -127,8 +126,7 @@ std::vector<Tensor> Attack::object_tensors() const {
 
 void Attack::visit_state(optimize::StateVisitor& visit) {
   visit.tensors("object", object_tensors());
-  visit.tensors("moment1", moment1_);
-  visit.tensors("moment2", moment2_);
+  moments_.visit(visit);
   visit.tensors("velocity", velocity_);
   visit_log(visit, "curves", curves_);
   visit_log(visit, "epochs", epochs_);
@@ -186,7 +184,8 @@ void Attack::apply(int64_t step, double rate_scale) {
   for (size_t i = 0; i < free.size(); ++i) {
     Tensor direction = grads_[i].contiguous();
     if (schedule.momentum > 0) direction = accelerate(velocity_[i], direction, schedule.momentum);
-    adam.step(free[i].tensor, direction, moment1_[i], moment2_[i], free[i].rate * decay, step + 1);
+    adam.step(free[i].tensor, direction, moments_.first[i], moments_.second[i],
+              free[i].rate * decay, step + 1);
   }
   grads_.clear();  // the next step takes their memory
   if (options_.naturalness.max_displacement > 0) {
@@ -263,12 +262,14 @@ AttackResult apply_appearance(const AttackResult& result, const AttackInput& oth
 
 AttackResult run_attack(const AttackInput& input, const AttackOptions& options, uint64_t seed,
                         const std::filesystem::path& checkpoint, Progress& progress) {
+  const model::WeightsGuard weights(input.surrogates);
   Attack attack(input, options, seed);
   optimize::run_loop(
       attack,
       {"attack", options.schedule.steps, options.schedule.checkpoint_every, checkpoint,
        "lower attack.appearance_rate or attack.vertex_rate", "lower attack.image_size"},
       progress);
+  weights.check();
   return attack.result();
 }
 

@@ -56,8 +56,8 @@ class Attack final : public optimize::Optimization {
   // State.
   at::Tensor offsets_;  ///< [V,3]
   std::unique_ptr<object::Appearance> appearance_;
-  std::vector<at::Tensor> moment1_, moment2_;  ///< in the order of free_parameters
-  std::vector<at::Tensor> velocity_;           ///< the same order; empty if attack.momentum is 0
+  optimize::AdamMoments moments_;     ///< in the order of free_parameters
+  std::vector<at::Tensor> velocity_;  ///< the same order; empty if attack.momentum is 0
   record::Curves curves_;
   std::vector<record::Epoch> epochs_;
   Best best_;

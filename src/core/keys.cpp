@@ -28,6 +28,12 @@ double number_of(const KeyValue& value, const std::string& what) {
   return value_as<double>(value, what);
 }
 
+/// A text; a class or a folder may be an integer, which TOML does not quote.
+std::string text_of(const KeyValue& value) {
+  if (const auto* whole = std::get_if<int64_t>(&value)) return std::to_string(*whole);
+  return value_as<std::string>(value, "a string");
+}
+
 /// An empty list has no element type in TOML and JSON, so it may arrive as a list of numbers.
 std::vector<std::string> texts_of(const KeyValue& value, const std::string& what) {
   const auto* numbers = std::get_if<std::vector<double>>(&value);
@@ -102,12 +108,12 @@ void KeyList::operator()(const char* name, double& member, KeyRange range, const
 
 void KeyList::operator()(const char* name, std::string& member, const char* meaning) {
   add({prefix_ + name, meaning, "", "", false, [&member] { return KeyValue(member); },
-       [&member](const KeyValue& value) { member = value_as<std::string>(value, "a string"); }});
+       [&member](const KeyValue& value) { member = text_of(value); }});
 }
 
 void KeyList::operator()(const char* name, std::filesystem::path& member, const char* meaning) {
   add({prefix_ + name, meaning, "path", "", true, [&member] { return KeyValue(member.string()); },
-       [&member](const KeyValue& value) { member = value_as<std::string>(value, "a string"); }});
+       [&member](const KeyValue& value) { member = text_of(value); }});
 }
 
 void KeyList::operator()(const char* name, std::vector<std::string>& member, const char* meaning) {

@@ -29,6 +29,19 @@ struct LoadedVictim {
   }
 };
 
+std::vector<const model::ModelCard*> cards_of(const std::vector<LoadedVictim>& victims) {
+  std::vector<const model::ModelCard*> cards;
+  for (const LoadedVictim& v : victims) cards.push_back(&v.model->card());
+  return cards;
+}
+
+std::vector<std::shared_ptr<const model::Classifier>> models_of(
+    const std::vector<LoadedVictim>& victims) {
+  std::vector<std::shared_ptr<const model::Classifier>> models;
+  for (const LoadedVictim& v : victims) models.push_back(v.model);
+  return models;
+}
+
 std::vector<LoadedVictim> load_victims(const EvaluateOptions& options, Progress& progress) {
   std::vector<LoadedVictim> victims;
   for (const std::string& name : options.victims) {
@@ -40,6 +53,8 @@ std::vector<LoadedVictim> load_victims(const EvaluateOptions& options, Progress&
     }
     victims.push_back(std::move(victim));
   }
+  model::check_same_class(options.target, cards_of(victims), "target");
+  model::check_same_class(options.true_class, cards_of(victims), "true class");
   return victims;
 }
 
@@ -47,7 +62,7 @@ void check_options(const EvaluateOptions& options) {
   if (options.victims.empty()) throw InputError("evaluate.victims: name at least one model");
   if (options.views < 1) throw InputError("evaluate.views: expected at least 1");
   check_renderer(options.renderer);
-  if ((options.geometry || !options.lpips.empty()) && options.clean.empty()) {
+  if ((options.geometry || options.measures_lpips()) && options.clean.empty()) {
     throw InputError(
         "LPIPS and geometry compare with the clean object: give its file with --clean");
   }
@@ -59,8 +74,8 @@ record::EvaluationRecord begin_record(const EvaluateOptions& options,
   record::EvaluationRecord record;
   record.asset = options.asset.string();
   record.asset_sha256 = sha256_file(options.asset);
-  record.target = victims.back().target;
-  record.true_class = victims.back().true_class;
+  record.target = victims.front().target;
+  record.true_class = victims.front().true_class;
   record.renderer = {name_of(options.renderer.name), std::nullopt, options.renderer.lit,
                      samples_of(options.renderer)};
   record.background = options.background;
@@ -70,6 +85,8 @@ record::EvaluationRecord begin_record(const EvaluateOptions& options,
     record::VictimRecord victim;
     victim.name = v.model->card().name;
     victim.sha256 = v.model->card().sha256;
+    victim.target = v.target;
+    victim.true_class = v.true_class;
     record.victims.push_back(victim);
   }
   return record;
@@ -136,7 +153,8 @@ Tensor pictures_over(const AssetViews& views, const scene::Backgrounds& backgrou
 void answer(const model::Classifier& model, const Tensor& pictures, const Tensor& clean,
             int64_t target, std::optional<int64_t> true_class,
             std::vector<record::ViewAnswer>& answers) {
-  const Tensor p = model.logits(model::preprocess(pictures, model.card())).softmax(1).cpu();
+  const Tensor p =
+      model::probabilities(model, model.logits(model::preprocess(pictures, model.card()))).cpu();
   const auto [best, index] = p.max(1);
   Tensor clean_index;
   if (clean.defined()) {
@@ -173,6 +191,7 @@ record::EvaluationRecord evaluate_asset(const EvaluateOptions& options, asset::A
   for (const scene::SampledView& v : views) {
     record.poses.push_back({v.azimuth_deg, v.elevation_deg, v.distance, v.roll_deg});
   }
+  const model::WeightsGuard weights(models_of(victims));
   Pictures source(options, assets, views, progress);
   record.renderer.version = source.version();
   progress.begin("evaluate", options.views, 0);
@@ -187,6 +206,7 @@ record::EvaluationRecord evaluate_asset(const EvaluateOptions& options, asset::A
     progress.check();
   }
   progress.end();
+  weights.check();
   for (size_t m = 0; m < victims.size(); ++m) {
     record::summarize(record.victims[m], victims[m].target.index, victims[m].true_index());
   }

@@ -21,7 +21,7 @@ constexpr double kLpipsSecondsAView = 60;  ///< time of two passes through VGG o
 PictureComparison::PictureComparison(const EvaluateOptions& options,
                                      const asset::TexturedMesh& asset)
     : options_(options), vertices_(asset.vertices) {
-  if (!options.lpips.empty()) folder_ = std::make_unique<ExchangeFolder>();
+  if (options.measures_lpips()) folder_ = std::make_unique<ExchangeFolder>();
 }
 
 void PictureComparison::add(const Tensor& adversarial, const Tensor& clean,
@@ -58,8 +58,10 @@ record::NaturalnessRecord PictureComparison::finish(Progress& progress) const {
   means.lpips_net = options_.lpips;
   const fs::path list = *folder_ / "pairs.json", out = *folder_ / "lpips.json";
   write_file_atomic(list, pairs_.dump());
-  (void)run_tool("perceptual.py",
-                 {options_.lpips, options_.lpips_backbone.string(), list.string(), out.string()},
+  const fs::path backbone = options_.lpips_backbone.empty()
+                                ? fs::path("models/lpips") / (options_.lpips + ".pth")
+                                : options_.lpips_backbone;
+  (void)run_tool("perceptual.py", {options_.lpips, backbone.string(), list.string(), out.string()},
                  "lpips", 60 + kLpipsSecondsAView * n, progress);
   const json document = read_json(out);
   const JsonValue result(document, out);

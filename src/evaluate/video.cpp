@@ -96,8 +96,8 @@ std::vector<record::StripFrame> write_strip(const ScoredVideo& video, const fs::
     write_file_atomic(folder / frame.picture, image::encode_jpeg(f.picture));
     for (size_t m = 0; m < video.answers.size(); ++m) {
       const record::ViewAnswer& a = video.answers[m][i];
-      frame.answers.push_back({video.record.victims[m].name, a.top1_name, a.p_top1,
-                               a.top1 == video.record.target.index});
+      const record::VideoVictim& victim = video.record.victims[m];
+      frame.answers.push_back({victim.name, a.top1_name, a.p_top1, a.top1 == victim.target->index});
     }
     strip.push_back(std::move(frame));
   }
@@ -144,7 +144,7 @@ std::vector<VideoFrame> read_frames(const JsonValue& found, const std::vector<La
 /// Figures of one victim: over all frames and for each background label.
 record::VideoVictim summary_of(const model::ModelCard& card,
                                const std::vector<record::ViewAnswer>& answers,
-                               const std::vector<VideoFrame>& frames, int64_t target,
+                               const std::vector<VideoFrame>& frames, const record::ClassId& target,
                                bool by_background) {
   std::map<std::string, std::vector<size_t>> groups;
   std::vector<size_t> all;
@@ -156,11 +156,12 @@ record::VideoVictim summary_of(const model::ModelCard& card,
   }
   record::VideoVictim victim = {card.name,
                                 card.sha256,
-                                share(answers, all, target),
+                                target,
+                                share(answers, all, target.index),
                                 probability / static_cast<double>(frames.size()),
                                 {}};
   for (const auto& [label, members] : groups) {
-    victim.backgrounds[label] = share(answers, members, target);
+    victim.backgrounds[label] = share(answers, members, target.index);
   }
   return victim;
 }
@@ -183,6 +184,21 @@ std::vector<record::ViewAnswer> answers_of(const model::Classifier& model,
   return answers;
 }
 
+std::vector<std::shared_ptr<const model::Classifier>> load_models(const VideoOptions& options,
+                                                                  Progress& progress) {
+  std::vector<std::shared_ptr<const model::Classifier>> models;
+  std::vector<const model::ModelCard*> cards;
+  for (const std::string& name : options.victims) {
+    models.push_back(model::Classifier::load(name, {}, &progress));
+    cards.push_back(&models.back()->card());
+    (void)model::find_class(options.target, *cards.back());
+    if (!options.true_class.empty()) (void)model::find_class(options.true_class, *cards.back());
+  }
+  model::check_same_class(options.target, cards, "target");
+  model::check_same_class(options.true_class, cards, "true class");
+  return models;
+}
+
 }  // namespace
 
 ScoredVideo score_video(const VideoOptions& options, Progress& progress) {
@@ -190,11 +206,7 @@ ScoredVideo score_video(const VideoOptions& options, Progress& progress) {
   if (options.victims.empty()) throw InputError("--victims: name at least one model");
   if (!fs::is_regular_file(options.video)) throw InputError(options.video, "no such video file");
   const std::vector<Labelled> table = read_backgrounds(options.backgrounds);
-  std::vector<std::shared_ptr<model::Classifier>> models;
-  for (const std::string& name : options.victims) {
-    models.push_back(model::Classifier::load(name, {}, &progress));
-    (void)model::find_class(options.target, models.back()->card());
-  }
+  const auto models = load_models(options, progress);
   const ExchangeFolder folder;
   const json document = extract(options, folder, progress);
   const JsonValue found(document, folder / "frames.json");
@@ -207,17 +219,19 @@ ScoredVideo score_video(const VideoOptions& options, Progress& progress) {
   video.record.tt3d_version = kVersion;
   video.frames = read_frames(found, table);
   video.record.frames = static_cast<int64_t>(video.frames.size());
+  const model::WeightsGuard weights(models);
   for (const auto& model : models) {
     const model::ModelCard& card = model->card();
-    video.record.target = model::find_class(options.target, card);
+    const record::ClassId target = model::find_class(options.target, card);
+    if (video.record.victims.empty()) video.record.target = target;
     std::optional<int64_t> true_class;
     if (!options.true_class.empty()) true_class = model::find_class(options.true_class, card).index;
-    const int64_t target = video.record.target.index;
     video.answers.push_back(
-        answers_of(*model, video.frames, target, true_class, options.device, progress));
+        answers_of(*model, video.frames, target.index, true_class, options.device, progress));
     video.record.victims.push_back(
         summary_of(card, video.answers.back(), video.frames, target, !options.backgrounds.empty()));
   }
+  weights.check();
   return video;
 }
 

@@ -84,7 +84,8 @@ class FieldTraining final : public optimize::Optimization {
   int64_t largest_batch_;  ///< samples per step; lowered if memory runs out
   // State.
   RadianceField field_;
-  std::vector<Tensor> moment1_, moment2_, average_;
+  optimize::AdamMoments moments_;
+  std::vector<Tensor> average_;
   OccupancyGrid occupancy_;
   int64_t rays_ = 1024;
   // Of the last step.
@@ -95,8 +96,7 @@ class FieldTraining final : public optimize::Optimization {
 
 void FieldTraining::restart() {
   field_ = RadianceField::create(options_.shape, seed_).to(options_.device);
-  moment1_ = zeros_like_all(field_.parameters());
-  moment2_ = zeros_like_all(field_.parameters());
+  moments_.restart(field_.parameters());
   average_ = zeros_like_all(field_.parameters());
   occupancy_.hull = visual_hull(capture_.train, options_.shape.occupancy).to(options_.device);
   if (occupancy_.hull.sum().item<int64_t>() == 0) {
@@ -111,8 +111,7 @@ void FieldTraining::restart() {
 
 void FieldTraining::visit_state(optimize::StateVisitor& visit) {
   visit.tensors("parameter", field_.parameters());
-  visit.tensors("moment1", moment1_);
-  visit.tensors("moment2", moment2_);
+  moments_.visit(visit);
   visit.tensors("average", average_);
   visit.tensor("occupied", field_.occupied);
   visit.tensor("density", occupancy_.density);
@@ -160,7 +159,8 @@ void FieldTraining::apply(int64_t step, double rate_scale) {
   at::NoGradGuard guard;
   for (size_t i = 0; i < parameters.size(); ++i) {
     if (!grads_[i].defined()) continue;
-    adam.step(parameters[i], grads_[i].contiguous(), moment1_[i], moment2_[i], rate, step + 1);
+    adam.step(parameters[i], grads_[i].contiguous(), moments_.first[i], moments_.second[i], rate,
+              step + 1);
   }
   grads_.clear();  // the next step takes their memory
   average(step);

@@ -97,8 +97,8 @@ class Refinement final : public optimize::Optimization {
   scene::TriMesh mesh_;  ///< base of the offsets; changes at each remeshing
   Tensor offsets_;       ///< [V,3]
   field::GridMlp appearance_;
-  std::vector<Tensor> moment1_, moment2_;  ///< offsets first, then the appearance
-  int64_t since_remesh_ = 0;               ///< Adam's iteration for the offsets
+  optimize::AdamMoments moments_;  ///< offsets first, then the appearance
+  int64_t since_remesh_ = 0;       ///< Adam's iteration for the offsets
   // Derived from the mesh.
   std::unique_ptr<RenderMesh> prepared_;
   std::unique_ptr<MeshRegularizer> regularizer_;
@@ -130,9 +130,9 @@ std::vector<Tensor> Refinement::parameters() const {
 void Refinement::reset_offsets() {
   offsets_ = at::zeros_like(mesh_.vertices).requires_grad_(true);
   since_remesh_ = 0;
-  if (moment1_.empty()) return;
-  moment1_[0] = at::zeros_like(mesh_.vertices);
-  moment2_[0] = at::zeros_like(mesh_.vertices);
+  if (moments_.first.empty()) return;
+  moments_.first[0] = at::zeros_like(mesh_.vertices);
+  moments_.second[0] = at::zeros_like(mesh_.vertices);
 }
 
 void Refinement::prepare() {
@@ -143,13 +143,8 @@ void Refinement::prepare() {
 void Refinement::restart() {
   mesh_ = start_;
   appearance_ = start_appearance_.clone();
-  moment1_.clear();
-  moment2_.clear();
   reset_offsets();
-  for (const Tensor& p : parameters()) {
-    moment1_.push_back(at::zeros_like(p, p.options().requires_grad(false)));
-    moment2_.push_back(at::zeros_like(p, p.options().requires_grad(false)));
-  }
+  moments_.restart(parameters());
   for (const Tensor& p : appearance_.parameters()) p.requires_grad_(true);
   prepare();
 }
@@ -163,8 +158,7 @@ void Refinement::visit_state(optimize::StateVisitor& visit) {
   }
   visit.integer("since_remesh", since_remesh_);
   visit.tensors("parameter", parameters());
-  visit.tensors("moment1", moment1_);
-  visit.tensors("moment2", moment2_);
+  moments_.visit(visit);
 }
 
 Tensor Refinement::loss_of(const std::vector<size_t>& views, int64_t step, Tensor& mse) const {
@@ -218,7 +212,7 @@ void Refinement::apply(int64_t step, double rate_scale) {
     const bool offsets = i == 0;
     const double rate =
         (offsets ? options_.vertex_rate : options_.appearance_rate) * decay * rate_scale;
-    adam.step(all[i], grads_[i].contiguous(), moment1_[i], moment2_[i], rate,
+    adam.step(all[i], grads_[i].contiguous(), moments_.first[i], moments_.second[i], rate,
               offsets ? since_remesh_ + 1 : step + 1);
   }
   grads_.clear();  // the next step takes their memory

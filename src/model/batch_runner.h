@@ -35,6 +35,8 @@ class BatchRunner : public std::enable_shared_from_this<BatchRunner> {
   /// Throws Malformed, and ResourceError if not even one image fits.
   [[nodiscard]] at::Tensor logits(const Pictures& pictures);
   [[nodiscard]] const Graph& graph() const { return graph_; }
+  /// The graph of the last pass: on a GPU the copy there.
+  [[nodiscard]] const Graph& used_graph() const { return moved_ ? *moved_ : graph_; }
 
   /// The product of `gradient` [N,classes] with the derivative of the logits: [N,3,H,W]. Runs
   /// forward and backward part by part, so that memory holds one part's results only.

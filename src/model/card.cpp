@@ -14,7 +14,14 @@ using Json = nlohmann::json;
 
 constexpr int64_t kMaxSide = 8192;
 constexpr int64_t kMaxProbeBatch = 64;
+constexpr const char* kImagenet = "imagenet-1k";
 constexpr const char* kProbeRule = "waves-1";
+
+/// True for the 80 classes of COCO, or its 91 ids, in their order.
+bool are_coco(const std::vector<std::string>& labels) {
+  return (labels.size() == 80 || labels.size() == 90 || labels.size() == 91) &&
+         labels[0] == "person" && labels[1] == "bicycle" && labels.back() == "toothbrush";
+}
 
 /// Typed access to a card's keys; errors name the file and the key.
 class CardReader {
@@ -115,15 +122,45 @@ class CardReader {
     }
     card.mean = channels("mean", false);
     card.std = channels("std", true);
+    check_unit_range(card);
+    const std::string scores = text("scores");
+    if (!scores.empty()) card.scores = read_scores(scores);
+  }
+
+  /// Pictures have values in [0,1], so neither their mean nor their spread can be larger.
+  void check_unit_range(const ModelCard& card) const {
+    constexpr double kLargest = 2;  // some networks take pictures in [-1,1]: mean and std of 0.5
+    for (const auto* values : {&card.mean, &card.std}) {
+      for (const double value : *values) {
+        if (std::abs(value) <= kLargest) continue;
+        const auto unit = [](const std::vector<double>& v) {
+          return fmt::format("[{:.6g}, {:.6g}, {:.6g}]", v[0] / 255, v[1] / 255, v[2] / 255);
+        };
+        fail(fmt::format(
+            "'{}' is for pictures in [0,255], expected values for pictures in [0,1]; divide both "
+            "by 255: \"mean\": {}, \"std\": {}",
+            values == &card.mean ? "mean" : "std", unit(card.mean), unit(card.std)));
+      }
+    }
+  }
+
+  Scores read_scores(const std::string& name) const {
+    try {
+      return parse_enum<Scores>(name);
+    } catch (const InputError& error) {
+      fail(fmt::format("'scores': {}", error.what()));
+    }
   }
 
   void read_labels(ModelCard& card) const {
+    card.label_set = text("label_set");
     const Json& labels = need("labels", "\"imagenet-1k\" or a list of names");
-    if (labels.is_string() && labels.get<std::string>() == "imagenet-1k") {
+    if (labels.is_string() && labels.get<std::string>() == kImagenet) {
       for (const ImagenetClass& one : imagenet_classes()) {
         card.labels.push_back(one.names.front());
         card.wnids.push_back(one.wnid);
       }
+      card.label_set = kImagenet;
       return;
     }
     if (!labels.is_array()) fail("'labels' must be \"imagenet-1k\" or a list of names");
@@ -131,6 +168,7 @@ class CardReader {
       if (!label.is_string()) fail("'labels' must contain strings");
       card.labels.push_back(label.get<std::string>());
     }
+    if (card.label_set.empty() && are_coco(card.labels)) card.label_set = "coco";
   }
 
   void read_probe(CardFile& file) const {

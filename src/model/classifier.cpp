@@ -57,6 +57,12 @@ class Pt2Classifier final : public Classifier {
   const ProbeReport& probe() const override { return probe_; }
   const fs::path& path() const override { return path_; }
 
+  Scores scores() const override {
+    return card().scores.value_or(is_detector() ? Scores::kSigmoid : Scores::kSoftmax);
+  }
+  bool is_detector() const override { return runner_->graph().detector; }
+  int64_t anchors() const override { return runner_->graph().anchors; }
+
   void check_gradients() const override {
     if (!probe_.present) return;
     if (!probe_.gradients) {
@@ -83,7 +89,7 @@ class Pt2Classifier final : public Classifier {
   }
 
   std::string weights_hash() const override {
-    const Graph& graph = runner_->graph();
+    const Graph& graph = runner_->used_graph();
     std::string digests;
     for (const auto& [slot, tensor] : graph.constants) {
       const at::Tensor bytes = tensor.cpu().contiguous();
@@ -147,6 +153,13 @@ void check_against_card(const Graph& graph, const ModelCard& card) {
   if (graph.classes != static_cast<int64_t>(card.labels.size())) {
     throw Malformed(
         fmt::format("gives {} classes, its card has {} labels", graph.classes, card.labels.size()));
+  }
+  const std::string last = probability_layer(graph);
+  if (!last.empty() && card.scores != Scores::kNone) {
+    throw Malformed(
+        fmt::format("ends in a {}, so it gives probabilities where logits are expected; export it "
+                    "without that layer, or write \"scores\": \"none\" in its card",
+                    last));
   }
 }
 
@@ -224,6 +237,32 @@ Package open_package(const fs::path& path, const ModelLimits& limits) {
 }
 
 }  // namespace
+
+at::Tensor probabilities(const Classifier& model, const at::Tensor& logits) {
+  switch (model.scores()) {
+    case Scores::kSoftmax:
+      return logits.softmax(1);
+    case Scores::kSigmoid:
+      return logits.sigmoid();
+    case Scores::kNone:
+      return logits;
+  }
+  return logits;
+}
+
+WeightsGuard::WeightsGuard(std::vector<std::shared_ptr<const Classifier>> models)
+    : models_(std::move(models)) {
+  for (const auto& model : models_) hashes_.push_back(model->weights_hash());
+}
+
+void WeightsGuard::check() const {
+  for (size_t m = 0; m < models_.size(); ++m) {
+    if (models_[m]->weights_hash() == hashes_[m]) continue;
+    throw Error(models_[m]->path().string() +
+                ": its weights changed while it was used, so the result is not valid; please "
+                "report this fault of tt3d with the model's name");
+  }
+}
 
 std::shared_ptr<Classifier> Classifier::load(const std::string& name, const ModelLimits& limits,
                                              Progress* warn, const ModelOptions& options) {

@@ -62,6 +62,8 @@ struct Graph {
   Slot input = -1;   ///< float32 [N,3,H,W], normalised
   Slot output = -1;  ///< float32 [N,classes] or [N,anchors,classes]
   int64_t height = 0, width = 0, classes = 0;
+  bool detector = false;  ///< the output has anchors
+  int64_t anchors = 0;    ///< of a detector; 0 if the file does not state their number
   int64_t min_batch = 1, max_batch = 0;  ///< batch sizes the graph was exported for
 };
 

@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <unordered_map>
 #include <unordered_set>
 
@@ -19,7 +20,43 @@ bool may_alias(const std::string& target) {
   return names.count(target) != 0;
 }
 
+/// Operators that only move or copy values.
+bool keeps_values(const std::string& target) {
+  static const std::unordered_set<std::string> names = {
+      "aten::view",      "aten::reshape",   "aten::flatten",    "aten::squeeze", "aten::unsqueeze",
+      "aten::permute",   "aten::transpose", "aten::contiguous", "aten::clone",   "aten::alias",
+      "aten::detach",    "aten::to",        "aten::_to_copy",   "aten::slice",   "aten::dropout",
+      "aten::unflatten", "aten::lift_fresh"};
+  return names.count(target) != 0;
+}
+
+const Step* step_that_gives(const Graph& graph, Slot slot) {
+  for (const Step& step : graph.steps) {
+    for (const Output& output : step.outputs) {
+      if (std::find(output.slots.begin(), output.slots.end(), slot) != output.slots.end()) {
+        return &step;
+      }
+    }
+  }
+  return nullptr;
+}
+
 }  // namespace
+
+std::string probability_layer(const Graph& graph) {
+  Slot slot = graph.output;
+  for (const Step* step = step_that_gives(graph, slot); step != nullptr;
+       step = step_that_gives(graph, slot)) {
+    if (step->target.find("::softmax") != std::string::npos ||
+        step->target.find("::_softmax") != std::string::npos) {
+      return "softmax";
+    }
+    if (step->target.find("::sigmoid") != std::string::npos) return "sigmoid";
+    if (!keeps_values(step->target) || step->inputs.empty()) return "";
+    slot = step->inputs.front().slot;
+  }
+  return "";
+}
 
 void check_weights_are_read_only(const Graph& graph) {
   std::unordered_set<Slot> weights;

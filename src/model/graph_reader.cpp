@@ -305,6 +305,10 @@ void GraphReader::check_output_shape() {
         "does not give float32 logits [N,classes], nor a detector's scores [N,anchors,classes]");
   }
   graph_.classes = read_integer(sizes.back()["as_int"]);
+  graph_.detector = sizes.size() == 3;
+  if (graph_.detector && sizes[1].contains("as_int")) {
+    graph_.anchors = read_integer(sizes[1]["as_int"]);
+  }
   if (graph_.classes < 2) throw Malformed("has fewer than two classes");
 }
 

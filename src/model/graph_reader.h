@@ -13,6 +13,8 @@ namespace tt3d::model {
 
 /// Throws Malformed for in-place operators on weights or on views of weights.
 void check_weights_are_read_only(const Graph& graph);
+/// The graph's last layer if it turns logits into probabilities ("softmax", "sigmoid"), else "".
+std::string probability_layer(const Graph& graph);
 
 /// Fills Step::release: the values that no step after this one uses.
 void find_last_uses(Graph& graph);

@@ -120,7 +120,69 @@ std::string suggestions(const std::string& word, const ModelCard& card) {
 
 }  // namespace
 
+namespace {
+
+std::string trimmed(const std::string& text) {
+  const size_t from = text.find_first_not_of(' ');
+  if (from == std::string::npos) return "";
+  return text.substr(from, text.find_last_not_of(' ') + 1 - from);
+}
+
+/// True if `name` stands for the label set of a card.
+bool is_label_set(const std::string& name, const ModelCard& card) {
+  const std::string word = lower(name), set = lower(card.label_set);
+  if (word.empty()) return false;
+  return word == set || word == set.substr(0, set.find('-')) || word == lower(card.name);
+}
+
+/// True if `text` is a list of classes, one for each label set: SET=CLASS,SET=CLASS.
+bool names_label_sets(const std::string& text) {
+  const size_t equals = text.find('=');
+  return equals != std::string::npos && equals < text.find(',');
+}
+
+/// A class for each label set, in the order given. A comma without '=' belongs to the class name.
+std::vector<std::pair<std::string, std::string>> classes_by_set(const std::string& text) {
+  std::vector<std::pair<std::string, std::string>> classes;
+  for (size_t start = 0; start < text.size();) {
+    const size_t equals = text.find('=', start);
+    const size_t next = text.find('=', equals + 1);
+    const size_t end = next == std::string::npos ? text.size() : text.rfind(',', next);
+    if (end == std::string::npos || end <= equals + 1) {
+      throw InputError(fmt::format("class '{}': expected SET=CLASS,SET=CLASS", text));
+    }
+    classes.emplace_back(trimmed(text.substr(start, equals - start)),
+                         trimmed(text.substr(equals + 1, end - equals - 1)));
+    start = end + 1;
+  }
+  return classes;
+}
+
+std::string class_for(const std::string& text, const ModelCard& card) {
+  for (const auto& [set, one] : classes_by_set(text)) {
+    if (is_label_set(set, card)) return one;
+  }
+  const std::string name = card.label_set.empty() ? card.name : card.label_set;
+  throw InputError(fmt::format("class '{}': has no class for model {}; add {}=CLASS", text,
+                               card.name, name.substr(0, name.find('-'))));
+}
+
+}  // namespace
+
+void check_same_class(const std::string& text, const std::vector<const ModelCard*>& cards,
+                      const std::string& option) {
+  if (!is_number(text)) return;
+  for (const ModelCard* card : cards) {
+    if (card->labels == cards.front()->labels) continue;
+    throw InputError(
+        fmt::format("{} {}: an index means another class in {} than in {}, because their labels "
+                    "differ; give a name, or SET=CLASS,SET=CLASS (docs/model.md)",
+                    option, text, card->name, cards.front()->name));
+  }
+}
+
 ClassId find_class(const std::string& text, const ModelCard& card) {
+  if (names_label_sets(text)) return find_class(class_for(text, card), card);
   if (is_number(text)) return class_of_number(text, card);
   if (is_wnid(text)) return class_of_wnid(text, card);
   const std::string word = lower(text);

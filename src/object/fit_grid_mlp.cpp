@@ -55,19 +55,13 @@ class AppearanceFit final : public optimize::Optimization {
   void restart() override {
     fitted_ = std::make_unique<GridMlpAppearance>(
         field::RadianceField::create(shape_, seed_).appearance.to(mesh_.vertices.device()));
-    moment1_.clear();
-    moment2_.clear();
-    for (const Tensor& p : fitted_->parameters()) {
-      p.requires_grad_(true);
-      moment1_.push_back(at::zeros_like(p, p.options().requires_grad(false)));
-      moment2_.push_back(at::zeros_like(p, p.options().requires_grad(false)));
-    }
+    moments_.restart(fitted_->parameters());
+    for (const Tensor& p : fitted_->parameters()) p.requires_grad_(true);
   }
 
   void visit_state(optimize::StateVisitor& visit) override {
     visit.tensors("parameter", fitted_->parameters());
-    visit.tensors("moment1", moment1_);
-    visit.tensors("moment2", moment2_);
+    moments_.visit(visit);
   }
 
   optimize::StepLoss compute(int64_t step) override {
@@ -90,8 +84,8 @@ class AppearanceFit final : public optimize::Optimization {
     const double rate = rate_scale * kRate *
                         std::pow(kFinal, static_cast<double>(step) / static_cast<double>(steps_));
     for (size_t i = 0; i < parameters.size(); ++i) {
-      optimize::Adam{}.step(parameters[i], grads_[i].contiguous(), moment1_[i], moment2_[i], rate,
-                            step + 1);
+      optimize::Adam{}.step(parameters[i], grads_[i].contiguous(), moments_.first[i],
+                            moments_.second[i], rate, step + 1);
     }
     grads_.clear();  // the next step takes their memory
   }
@@ -116,7 +110,8 @@ class AppearanceFit final : public optimize::Optimization {
   int64_t steps_;
   int64_t points_ = 1 << 14;  ///< surface points per step
   std::unique_ptr<GridMlpAppearance> fitted_;
-  std::vector<Tensor> moment1_, moment2_, grads_;
+  optimize::AdamMoments moments_;
+  std::vector<Tensor> grads_;
 };
 
 }  // namespace

@@ -27,4 +27,18 @@ void Adam::step(const Tensor& parameter, const Tensor& gradient, const Tensor& m
   for_each_index_on(parameter, parameter.numel(), body);
 }
 
+void AdamMoments::restart(const std::vector<Tensor>& parameters) {
+  first.clear();
+  second.clear();
+  for (const Tensor& p : parameters) {
+    first.push_back(at::zeros_like(p.detach()));
+    second.push_back(at::zeros_like(p.detach()));
+  }
+}
+
+void AdamMoments::visit(StateVisitor& visit) const {
+  visit.tensors("moment1", first);
+  visit.tensors("moment2", second);
+}
+
 }  // namespace tt3d::optimize

@@ -28,7 +28,7 @@ std::string stage_row(const record::StageRecord& stage, double longest) {
 
 std::string stage_table(const std::vector<record::StageRecord>& stages) {
   if (stages.empty()) return "";
-  record::StageRecord sum = {"all", 0, 0};
+  record::StageRecord sum = {"all", 0, 0, {}, {}};
   double longest = 0;
   for (const record::StageRecord& stage : stages) {
     sum.seconds += stage.seconds;

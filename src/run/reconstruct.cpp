@@ -101,7 +101,7 @@ void Run::run_mesh(Progress& progress) {
 void Run::import_asset() {
   const fs::path& path = config_.asset.path;
   const asset::TexturedMesh& asset = assets_.load(path);
-  input_hashes_[fs::absolute(path).string()] = sha256_file(path);
+  add_inputs({{fs::absolute(path).string(), sha256_file(path)}});
   const scene::Normalization normalization = placement_of(asset, path).normalization;
   save_mesh_stage(object_of(asset, normalization), normalization, std::nullopt);
 }

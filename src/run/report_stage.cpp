@@ -37,8 +37,8 @@ std::vector<report::ShownView> sheet_views(const asset::TexturedMesh& clean,
     for (const record::VictimRecord& victim : evaluation.victims) {
       if (i >= victim.answers.size()) continue;
       const record::ViewAnswer& a = victim.answers[i];
-      view.answers.push_back(
-          {victim.name, a.top1_name, a.p_top1, a.top1 == evaluation.target.index});
+      view.answers.push_back({victim.name, a.top1_name, a.p_top1,
+                              a.top1 == victim.target.value_or(evaluation.target).index});
     }
     out.push_back(std::move(view));
   }

@@ -23,12 +23,14 @@ constexpr const char* kRunFile = "run.json";
 
 using ConfigValues = std::map<std::string, nlohmann::json>;
 
-/// Lists keys with different values, as "key (old -> new)".
+/// Lists keys with different values, as "key (old -> new)". A key that an older version did not
+/// have counts as its default.
 std::string differing_keys(const ConfigValues& before, const ConfigValues& now) {
+  const ConfigValues defaults = config_json(RunConfig());
   std::string out;
   for (const auto& [name, value] : now) {
     const auto old = before.find(name);
-    if (old != before.end() && old->second == value) continue;
+    if (value == (old == before.end() ? defaults.at(name) : old->second)) continue;
     out += (out.empty() ? "" : ", ") + name + " (" +
            (old == before.end() ? "absent" : old->second.dump()) + " -> " + value.dump() + ")";
   }
@@ -40,6 +42,12 @@ std::string described(at::Device device) {
   if (gpu_options().half_mlp) text += ", half-precision MLPs";
   if (gpu_options().graphs) text += ", CUDA graphs";
   return text;
+}
+
+InputError changed_input(const std::string& file, const std::string& stage) {
+  return {file, "has changed since stage '" + stage +
+                    "' read it; restore the file, choose another run folder, or start over with "
+                    "--restart"};
 }
 
 std::vector<Stage>::const_iterator find_stage(const std::string& name) {
@@ -82,7 +90,7 @@ Run::Run(const fs::path& folder, const RunConfig& config, bool restart)
                                   "; choose another --out, or use --restart to start over");
   }
   finished_ = recorded.stages;
-  input_hashes_ = recorded.inputs;
+  unfinished_ = recorded.unfinished;
 }
 
 Run Run::open(const fs::path& folder) {
@@ -98,7 +106,7 @@ Run Run::open(const fs::path& folder) {
   run.config_ = config_from_json(recorded.config, file);
   run.config_.given = recorded.given;
   run.finished_ = recorded.stages;
-  run.input_hashes_ = recorded.inputs;
+  run.unfinished_ = recorded.unfinished;
   return run;
 }
 
@@ -122,8 +130,9 @@ record::RunRecord Run::record() const {
   record.versions = {{"tt3d", kVersion}, {"torch", TORCH_VERSION}};
   record.threads = at::get_num_threads();
   record.device = described(device_);
-  record.inputs = input_hashes_;
+  for (const StageRecord& s : finished_) record.inputs.insert(s.inputs.begin(), s.inputs.end());
   record.stages = finished_;
+  record.unfinished = unfinished_;
   return record;
 }
 
@@ -149,9 +158,14 @@ void Run::reconfigure(const std::vector<Assignment>& assignments, const std::str
   const ConfigValues before = config_json(config_);
   set_all(config_, assignments);
   if (config_json(config_) == before) return;  // an interrupted stage can resume
-  for (auto stage = find_stage(first_stage); stage != stages().end(); ++stage) {
+  forget_from(first_stage);
+}
+
+void Run::forget_from(const std::string& first) {
+  for (auto stage = find_stage(first); stage != stages().end(); ++stage) {
     forget(stage->name);
     fs::remove(folder_ / stage->folder / kCheckpoint);
+    if (unfinished_ && unfinished_->name == stage->name) unfinished_.reset();
   }
   save();
 }
@@ -161,19 +175,52 @@ void Run::forget(const std::string& stage) {
 }
 
 void Run::run_until(const std::string& last, Progress& progress) {
+  check_inputs();
   for (const Stage& stage : stages()) {
     const bool needless = stage.name == "field" && from_asset();
-    if (!done(stage) && !needless) {
-      progress.check();
-      const double start = now_seconds();
-      reset_peak_memory();
-      stage.run(*this, progress);
-      enter({stage.name, now_seconds() - start, peak_memory_bytes()});
-      save();
-      fs::remove(folder_ / stage.folder / kCheckpoint);
-    }
+    if (!done(stage) && !needless) run_stage(stage, progress);
     if (stage.name == last) return;
   }
+}
+
+void Run::run_stage(const Stage& stage, Progress& progress) {
+  progress.check();
+  // Only a checkpoint makes the files of an earlier try matter.
+  const bool resumes = unfinished_ && unfinished_->name == stage.name &&
+                       fs::exists(folder_ / stage.folder / kCheckpoint);
+  if (!resumes) unfinished_ = StageRecord{stage.name, 0, 0, config_.seed, {}};
+  const double start = now_seconds();
+  reset_peak_memory();
+  stage.run(*this, progress);
+  unfinished_->seconds = now_seconds() - start;
+  unfinished_->peak_rss_bytes = peak_memory_bytes();
+  enter(*unfinished_);
+  unfinished_.reset();
+  save();
+  fs::remove(folder_ / stage.folder / kCheckpoint);
+}
+
+void Run::check_inputs() const {
+  std::map<std::string, std::string> now;  // hash each file once
+  for (const Stage& stage : stages()) {
+    const auto record = std::find_if(finished_.begin(), finished_.end(),
+                                     [&](const StageRecord& s) { return s.name == stage.name; });
+    if (record == finished_.end() || !done(stage)) continue;
+    for (const auto& [file, hash] : record->inputs) {
+      if (!fs::exists(file)) continue;  // the stage is done and needs it no more
+      if (now.count(file) == 0) now[file] = sha256_file(file);
+      if (now[file] != hash) throw changed_input(file, stage.name);
+    }
+  }
+}
+
+void Run::add_inputs(const std::map<std::string, std::string>& hashes) {
+  if (!unfinished_) return;  // another run lends its mesh to a universal attack
+  for (const auto& [file, hash] : hashes) {
+    const auto [entry, is_new] = unfinished_->inputs.emplace(file, hash);
+    if (!is_new && entry->second != hash) throw changed_input(file, unfinished_->name);
+  }
+  save();
 }
 
 const capture::Capture& Run::photographs(Progress& progress) {
@@ -182,8 +229,10 @@ const capture::Capture& Run::photographs(Progress& progress) {
       throw InputError("capture.path: expected a folder of photographs");
     photographs_ =
         std::make_shared<capture::Capture>(capture::load_capture(config_.capture, progress));
-    for (const std::string& file : photographs_->files) input_hashes_[file] = sha256_file(file);
   }
+  std::map<std::string, std::string> hashes;
+  for (const std::string& file : photographs_->files) hashes[file] = sha256_file(file);
+  add_inputs(hashes);
   return *photographs_;
 }
 

@@ -74,13 +74,21 @@ attack::AttackInput Run::attack_input(Progress& progress) {
 
 void Run::load_surrogates(attack::AttackInput& input, Progress& progress) {
   const std::string wanted = class_of_objective(config_);
+  std::vector<const model::ModelCard*> cards;
   for (const std::string& name : config_.attack.surrogates) {
     const auto model = model::Classifier::load(name, {}, &progress);
+    if (model->scores() == model::Scores::kNone) {
+      throw InputError(model->path(),
+                       "gives probabilities ('scores' is none), but a surrogate needs logits; "
+                       "export it without its last layer");
+    }
+    cards.push_back(&model->card());
     model->check_gradients();
     input.classes.push_back(model::find_class(wanted, model->card()).index);
-    input_hashes_[model->card().name + ".pt2"] = model->card().sha256;
+    add_inputs({{fs::absolute(model->path()).string(), model->card().sha256}});
     input.surrogates.push_back(model);
   }
+  model::check_same_class(wanted, cards, "the class of the objective");
 }
 
 std::vector<Run> Run::other_runs(attack::AttackInput& input, Progress& progress) {
@@ -132,7 +140,7 @@ void Run::adopt_attack(const Run& from, const attack::AttackResult& result) {
   }
   reconfigure(assignments, "attack");
   save_attack_files(result);
-  enter({"attack", 0, 0});
+  enter({"attack", 0, 0, from.config_.seed, {}});
   save();
 }
 
@@ -189,6 +197,10 @@ void Run::run_evaluate(Progress& progress) {
   options.target = config_.attack.target;
   options.seed = config_.seed;
   options.device = device_;
+  for (const std::string& name : options.victims) {
+    const fs::path file = fs::absolute(model::find_model(name));
+    add_inputs({{file.string(), sha256_file(file)}});
+  }
   record::save(evaluate::evaluate_asset(options, assets_, progress),
                folder_ / "eval" / "builtin.json");
 }

@@ -11,6 +11,7 @@
 #include "attack/starting_appearance.h"
 #include "attack/toy_attack.h"
 #include "support/count_notes.h"
+#include "support/error_of.h"
 #include "support/gradient_check.h"
 #include "support/shapes.h"
 #include "support/stop_after.h"
@@ -391,6 +392,29 @@ TEST(Epochs, TheBestStateIsReturnedIfTheLastIsWorse) {
   EXPECT_TRUE(at::equal(r.object.mesh.vertices, at_best.object.mesh.vertices));
   EXPECT_TRUE(
       at::equal(r.object.appearance->parameters()[0], at_best.object.appearance->parameters()[0]));
+}
+
+/// A classifier whose weights change when it is used.
+class ChangingClassifier : public testing::ColorClassifier {
+ public:
+  [[nodiscard]] Tensor logits(const Tensor& images) const override {
+    ++calls_;
+    return ColorClassifier::logits(images);
+  }
+  [[nodiscard]] std::string weights_hash() const override { return std::to_string(calls_); }
+
+ private:
+  mutable int calls_ = 0;
+};
+
+TEST(Attack, StopsIfTheWeightsOfASurrogateChanged) {
+  testing::TemporaryFolder folder;
+  AttackInput input = ball_input(0);
+  input.surrogates = {std::make_shared<ChangingClassifier>()};
+  Progress quiet;
+  const std::string error = testing::error_of<Error>(
+      [&] { (void)run_attack(input, toy_options(), 1, folder / "c", quiet); });
+  EXPECT_NE(error.find("its weights changed while it was used"), std::string::npos) << error;
 }
 
 /// A classifier that returns NaN from call `first` to call `last`.

@@ -11,6 +11,7 @@ import torch
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "python"))
 
+from tool_support import tt3d  # noqa: E402
 from tt3d_tools import export  # noqa: E402
 from tt3d_tools.package import ModelSpec, file_sha256, write_package  # noqa: E402
 from tt3d_tools.probe import gradient_positions, probe_images  # noqa: E402
@@ -186,3 +187,77 @@ def test_card_for_a_foreign_archive(tmp_path: Path) -> None:
     again = run_tool("tt3d_tools.card", str(archive), "--mean", "0", "0", "0", "--std", "1", "1",
                      "1", "--size", "8")  # fmt: skip
     assert again.returncode == 2 and "--force" in again.stderr
+
+
+def spec_that_ends_in(layer: torch.nn.Module) -> ModelSpec:
+    spec = small_spec()
+    spec.model = torch.nn.Sequential(spec.model, layer)
+    return spec
+
+
+def test_a_network_that_ends_in_softmax_is_refused_at_export(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="--scores none"):
+        write_package(spec_that_ends_in(torch.nn.Softmax(1)), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("layer", "word"), [(torch.nn.Softmax(1), "softmax"),
+                                             (torch.nn.Sigmoid(), "sigmoid")])  # fmt: skip
+def test_the_program_refuses_probabilities_in_place_of_logits(
+    tmp_path: Path, layer: torch.nn.Module, word: str
+) -> None:
+    spec = spec_that_ends_in(layer)
+    spec.scores = "none"
+    archive, card_path = write_package(spec, tmp_path)
+    accepted = tt3d("model", "check", str(archive), "--json")
+    assert accepted.returncode == 0, accepted.stderr
+    assert json.loads(accepted.stdout)["scores"] == "none"
+    card = json.loads(card_path.read_text())
+    del card["scores"]
+    card_path.write_text(json.dumps(card))
+    refused = tt3d("model", "check", str(archive))
+    assert refused.returncode == 2
+    assert f"ends in a {word}" in refused.stderr and '"scores": "none"' in refused.stderr
+
+
+def test_probabilities_are_not_turned_into_probabilities_again(tmp_path: Path) -> None:
+    from PIL import Image
+
+    spec = spec_that_ends_in(torch.nn.Softmax(1))
+    spec.scores = "none"
+    archive, _ = write_package(spec, tmp_path)
+    Image.new("RGB", (8, 8), (255, 128, 0)).save(tmp_path / "p.png")
+    done = tt3d("model", "classify", str(archive), str(tmp_path / "p.png"), "--json")
+    assert done.returncode == 0, done.stderr
+    shown = {c["name"]: c["probability"] for c in json.loads(done.stdout)["images"][0]["top"]}
+    color = (torch.tensor([255.0, 128.0, 0.0]) / 255 - 0.5) / 0.5
+    picture = color[None, :, None, None].expand(1, 3, 8, 8)
+    expected = spec.model(picture)[0].tolist()
+    assert [shown[name] for name in "abc"] == pytest.approx(expected, abs=1e-5)
+
+
+def test_labels_of_keras_and_of_plain_objects(tmp_path: Path) -> None:
+    path = tmp_path / "labels.json"
+    path.write_text('{"1": ["n2", "magpie"], "0": ["n1", "robin"]}')
+    assert export.parse_labels(str(path)) == ["robin", "magpie"]
+    path.write_text('{"0": "robin", "1": "magpie"}')
+    assert export.parse_labels(str(path)) == ["robin", "magpie"]
+    path.write_text('{"robin": 0, "magpie": 1}')
+    with pytest.raises(WeightsError, match="expected a list of names"):
+        export.parse_labels(str(path))
+    path.write_text("[1, 2]")
+    with pytest.raises(WeightsError, match="name of a class"):
+        export.parse_labels(str(path))
+
+
+def test_mean_and_std_in_bytes_are_refused(tmp_path: Path) -> None:
+    archive, card_path = write_package(small_spec(), tmp_path)
+    done = run_tool("tt3d_tools.card", str(archive), "--force", "--size", "8", "--mean", "123.675",
+                    "116.28", "103.53", "--std", "58.395", "57.12", "57.375")  # fmt: skip
+    assert done.returncode == 2
+    assert "--mean 0.485 0.456 0.406 --std 0.229 0.224 0.225" in done.stderr
+    card = json.loads(card_path.read_text())
+    card["std"] = [255, 255, 255]
+    card_path.write_text(json.dumps(card))
+    refused = tt3d("model", "check", str(archive))
+    assert refused.returncode == 2 and "'std' is for pictures in [0,255]" in refused.stderr

@@ -17,6 +17,8 @@ ROOT = Path(__file__).resolve().parents[2]
 JUDGE = ROOT / "python/tt3d_tools/judge.py"
 WORDS = ["hen", "teapot", "a", "photo", "of", ".", "hot", "dog"]
 sys.path.insert(0, str(JUDGE.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from tool_support import tt3d, write_asset  # noqa: E402
 
 
 def bert_tokenizer(folder: Path) -> transformers.PreTrainedTokenizerBase:
@@ -149,6 +151,25 @@ def test_a_small_model_answers(tmp_path: Path, task: str) -> None:
 
 
 @pytest.mark.parametrize("task", SAVE)
+def test_the_command_writes_a_record(tmp_path: Path, task: str) -> None:
+    torch.manual_seed(0)
+    SAVE[task](tmp_path / "model")
+    asset = write_asset(tmp_path)
+    done = tt3d("judge", task, asset, "--model", tmp_path / "model", "--text", "a hen. a teapot.",
+                "--views", "2", "--size", "64", "--seed", "3",
+                "--out", tmp_path / "eval/record.json")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "a teapot" in done.stdout and "of 2 views" in done.stdout
+    record = json.loads((tmp_path / "eval/record.json").read_text())
+    assert record["task"] == task and record["asset"] == str(asset)
+    assert record["views"] == {"distribution": "dome", "count": 2, "seed": 3, "size": 64}
+    assert len(record["answers"]) == 2
+    for k, phrase in enumerate(("a hen", "a teapot")):
+        found = [answer["found"][k] for answer in record["answers"]]
+        assert record["shares"][phrase] == sum(found) / 2
+
+
+@pytest.mark.parametrize("task", SAVE)
 def test_a_missing_folder_names_what_to_download(tmp_path: Path, task: str) -> None:
     done = judge(tmp_path, task, tmp_path / "absent")
     assert done.returncode == 3
@@ -168,3 +189,5 @@ def test_phrases_match_whole_words() -> None:
     assert says("two hot dogs on a plate", "a hot dog")
     assert says("a teapot.", "teapot")
     assert not says("a henhouse", "a hen")
+    assert not says("a dog", "a hot dog")  # the last word alone is another class
+    assert says("a hot  dog", "hot dog")

@@ -95,6 +95,45 @@ def test_lpips_agrees_with_the_package(tmp_path: Path, net: str) -> None:
     assert result["lpips_box"] == pytest.approx(float(box), abs=1e-4)
 
 
+@pytest.mark.skipif(not PROGRAM.exists(), reason=f"{PROGRAM} is not built")
+def test_evaluate_measures_lpips(tmp_path: Path) -> None:
+    """From the command to the record; the value equals that of the package on the same views."""
+    lpips = pytest.importorskip("lpips")
+    torch = pytest.importorskip("torch")
+    torchvision = pytest.importorskip("torchvision")
+    torch.manual_seed(1)
+    backbone = torchvision.models.squeezenet1_1(weights=None)
+    torch.save(backbone.state_dict(), tmp_path / "net.pth")
+    clean, attacked = write_asset(tmp_path, "clean"), write_asset(tmp_path, "attacked")
+    from PIL import Image
+
+    Image.open(clean.with_suffix(".png")).rotate(180).save(attacked.with_suffix(".png"))
+    views = ["--views", 2, "--size", 96, "--seed", 7]
+    words = ["evaluate", attacked, "--clean", clean, "--target", 0, "--victims", TOY, *views,
+             "--out", tmp_path / "r.json", "--lpips", "squeeze"]  # fmt: skip
+    missing = tt3d(*words, "--lpips-backbone", tmp_path / "absent.pth")
+    assert missing.returncode == 3 and "absent.pth" in missing.stderr
+    done = tt3d(*words, "--lpips-backbone", tmp_path / "net.pth")
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "r.json").read_text())["naturalness"]
+    assert found["lpips_net"] == "squeeze"
+    network = lpips.LPIPS(net="squeeze", pnet_rand=True, verbose=False).eval()
+    layers = dict(backbone.features.named_parameters())
+    with torch.no_grad():
+        for name, value in network.net.named_parameters():
+            value.copy_(layers[name.split(".", 1)[1]])
+    for asset in (clean, attacked):
+        tt3d("render", asset, *views, "--out", tmp_path / asset.stem)
+    distances = []
+    for file in sorted((tmp_path / "clean/test").glob("*.png")):
+        pair = (over_white(file), over_white(tmp_path / "attacked/test" / file.name))
+        a, b = (torch.tensor(p * 2 - 1).float().permute(2, 0, 1)[None] for p in pair)
+        with torch.no_grad():
+            distances.append(float(network(a, b)))
+    assert len(distances) == 2 and min(distances) > 0
+    assert found["lpips"] == pytest.approx(np.mean(distances), abs=1e-3)
+
+
 def test_lpips_without_a_backbone_says_what_to_download(tmp_path: Path) -> None:
     pytest.importorskip("lpips")
     pytest.importorskip("torchvision")

@@ -533,8 +533,97 @@ def test_a_detector_is_checked_and_attacked(finished: Path, tmp_path: Path) -> N
     done = tt3d("model", "check", detector)  # compares logits and gradient with the card
     assert done.returncode == 0, done.stderr
     run = shutil.copytree(finished / "out", tmp_path / "out")
+    assert "detector with" in done.stdout and "anchors" in done.stdout
+    facts = json.loads(tt3d("info", detector, "--json").stdout)
+    assert facts["kind"] == "detector" and facts["anchors"] > 1 and facts["scores"] == "sigmoid"
     done = tt3d("attack", run, "--surrogate", detector, "--target", "teapot", *QUICK)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_scores_of_a_detector_do_not_compete(finished: Path, tmp_path: Path) -> None:
+    """The card decides between sigmoid and softmax; only softmax makes a sum of one."""
+    card = json.loads(MODEL.with_name("toy_detector.json").read_text())
+    sums = {}
+    for scores in ("sigmoid", "softmax"):
+        shutil.copy(MODEL.with_name("toy_detector.pt2"), tmp_path / f"{scores}.pt2")
+        (tmp_path / f"{scores}.json").write_text(json.dumps({**card, "scores": scores}))
+        picture = finished / "out/asset/clean.png"
+        done = tt3d("model", "classify", tmp_path / f"{scores}.pt2", picture, "--json",
+                    "--top", len(card["labels"]))  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        top = json.loads(done.stdout)["images"][0]["top"]
+        sums[scores] = sum(one["probability"] for one in top)
+    assert sums["softmax"] == pytest.approx(1, abs=1e-4)
+    assert abs(sums["sigmoid"] - 1) > 0.1
+
+
+def test_victims_with_different_labels(finished: Path, tmp_path: Path) -> None:
+    """A name may be given for each label set; a bare index is refused."""
+    card = json.loads(MODEL.with_suffix(".json").read_text())
+    labels = [f"thing {i}" for i in range(len(card["labels"]))]
+    shutil.copy(MODEL, tmp_path / "other.pt2")
+    other = {**card, "name": "other", "labels": labels, "label_set": "things"}
+    (tmp_path / "other.json").write_text(json.dumps(other))
+    words = ["evaluate", finished / "out/asset/adversarial.glb", "--clean",
+             finished / "out/asset/clean.glb", "--victims", MODEL, tmp_path / "other.pt2",
+             "--views", 4, "--size", 48, "--out", tmp_path / "r.json"]  # fmt: skip
+    one_line(tt3d(*words, "--target", "3"), 2, "an index means another class in other")
+    one_line(tt3d(*words, "--target", "teapot"), 2, "model other has no such class")
+    one_line(tt3d(*words, "--target", "toy_cnn=teapot"), 2, "add things=CLASS")
+    done = tt3d(*words, "--target", "toy_cnn=teapot,things=thing 3",
+                "--true-class", "toy_cnn=cup,things=6")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    victims = json.loads((tmp_path / "r.json").read_text())["victims"]
+    assert [v["target"]["name"] for v in victims] == ["teapot", "thing 3"]
+    assert [v["true_class"]["name"] for v in victims] == ["cup", "thing 6"]
+    # It is the same network, so the figures are equal.
+    for key in ("asr", "clean_accuracy", "mean_target_probability"):
+        assert victims[0][key] == victims[1][key]
+
+
+def test_a_seed_holds_from_its_stage_on(finished: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(finished / "out", tmp_path / "out")
+    attack = ["attack", run, "--surrogate", MODEL, "--target", "teapot", *QUICK]
+    results = []
+    for seed in (5, 6):
+        assert tt3d(*attack, "--seed", seed).returncode == 0
+        results.append(hashes(run)["attack/attack.safetensors"])
+    assert results[0] != results[1]
+    stages = json.loads((run / "run.json").read_text())["stages"]
+    assert {s["name"]: s["seed"] for s in stages} == {"field": 3, "mesh": 3, "attack": 6}
+    one_line(tt3d("report", run, "--seed", 6), 2, "draws nothing at random")
+
+
+def test_an_input_that_changed_under_a_finished_stage_is_refused(
+    finished: Path, tmp_path: Path
+) -> None:
+    asset, run, model = tmp_path / "thing.glb", tmp_path / "run", tmp_path / "m.pt2"
+    shutil.copy(finished / "out/asset/clean.glb", asset)
+    for suffix in (".pt2", ".json"):
+        shutil.copy(MODEL.with_suffix(suffix), model.with_suffix(suffix))
+    attack = ["attack", run, "--surrogate", model, "--target", "teapot", *QUICK, "--asset", asset]
+    assert tt3d(*attack).returncode == 0
+    was = model.read_bytes()
+    model.write_bytes(was + b"x")
+    one_line(tt3d("bake", run), 2, "m.pt2: has changed since stage 'attack' read it")
+    model.write_bytes(was)
+    was = asset.read_bytes()
+    asset.write_bytes(was[:-1] + b"x")
+    one_line(tt3d("bake", run), 2, "thing.glb: has changed since stage 'mesh' read it")
+    asset.write_bytes(was)
+    assert tt3d("bake", run, "--restart").returncode == 0
+
+
+def test_a_photograph_that_changed_is_refused(finished: Path, tmp_path: Path) -> None:
+    capture, run = shutil.copytree(CAPTURE, tmp_path / "capture"), tmp_path / "out"
+    text = SMALL.replace(str(CAPTURE), str(capture)).replace("steps = 200", "steps = 20")
+    (tmp_path / "small.toml").write_text(text)
+    fit = ["run", tmp_path / "small.toml", "--out", run]
+    assert tt3d(*fit).returncode == 0
+    photo = next(p for p in sorted(capture.rglob("*")) if p.suffix in (".jpg", ".png"))
+    with photo.open("ab") as stream:
+        stream.write(b"x")
+    one_line(tt3d(*fit), 2, f"{photo}: has changed since stage 'field' read it")
 
 
 def test_curves_become_event_files(finished: Path, tmp_path: Path) -> None:

@@ -137,6 +137,74 @@ def test_the_rotation_tag_of_a_phone_is_applied(video: Path, tmp_path: Path) -> 
     assert upright[:10, :, 0].mean() > 200 and upright[30:, :, 0].mean() < 60
 
 
+def frames_of(video: Path, folder: Path, count: int = 6) -> dict:
+    from video_frames import sample
+
+    return sample({"video": str(video), "frames": count, "box": "", "mask": "", "track": False,
+                   "folder": str(folder)})  # fmt: skip
+
+
+def test_files_without_a_duration_are_read_to_the_end(tmp_path: Path) -> None:
+    """A browser writes WebM in live mode, and a camera writes a raw stream."""
+    source = ("-f", "lavfi", "-i", "testsrc=size=64x48:rate=12", "-t", 2)
+    ffmpeg(*source, "-c:v", "libvpx", "-f", "webm", "-live", 1, tmp_path / "live.webm")
+    ffmpeg(*source, "-c:v", "libx264", "-f", "h264", tmp_path / "raw.h264")
+    for name in ("live.webm", "raw.h264"):
+        found = frames_of(tmp_path / name, tmp_path)
+        assert len(found["frames"]) == 6, name
+        assert found["duration"] == pytest.approx(2, abs=0.15), name
+
+
+def test_pixels_that_are_not_square_are_shown_in_shape(tmp_path: Path) -> None:
+    source = ("-f", "lavfi", "-i", "testsrc=size=240x240:rate=5", "-t", 1, "-vf", "setsar=4/3")
+    ffmpeg(*source, "-pix_fmt", "yuv420p", tmp_path / "wide.mp4")
+    found = frames_of(tmp_path / "wide.mp4", tmp_path, 2)
+    assert (found["width"], found["height"]) == (320, 240)
+    assert Image.open(found["frames"][0]["file"]).size == (320, 240)
+    ffmpeg("-i", tmp_path / "wide.mp4", "-c", "copy", "-metadata:s:v:0", "rotate=90",
+           tmp_path / "tall.mp4")  # fmt: skip
+    found = frames_of(tmp_path / "tall.mp4", tmp_path, 2)
+    assert (found["width"], found["height"]) == (240, 320)
+    assert Image.open(found["frames"][0]["file"]).size == (240, 320)
+
+
+def test_a_late_start_does_not_count_as_duration(tmp_path: Path) -> None:
+    ffmpeg("-f", "lavfi", "-i", "testsrc=size=64x48:rate=12", "-t", 2, "-output_ts_offset", 5,
+           tmp_path / "late.mkv")  # fmt: skip
+    found = frames_of(tmp_path / "late.mkv", tmp_path)
+    assert found["duration"] == pytest.approx(2, abs=0.1)
+    assert len(found["frames"]) == 6
+    assert found["frames"][-1]["seconds"] < 2
+
+
+def test_victims_with_other_label_orders_have_their_own_target(video: Path, tmp_path: Path) -> None:
+    """The same network twice, once with its labels in reverse order: other index, same figures."""
+    card = json.loads(TOY.with_suffix(".json").read_text())
+    labels = [f"class{i}" for i in range(len(card["labels"]))]
+    for name, ordered in (("plain", labels), ("reversed", labels[::-1])):
+        (tmp_path / f"{name}.pt2").write_bytes(TOY.read_bytes())
+        text = json.dumps({**card, "name": name, "labels": ordered})
+        (tmp_path / f"{name}.json").write_text(text)
+    victims = [str(tmp_path / f"{name}.pt2") for name in ("plain", "reversed")]
+    done = tt3d("video-score", video, "--target", "class1", "--victims", *victims, "--frames", 5,
+                "--out", tmp_path / "score.json")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    rows = list(csv.DictReader((tmp_path / "score.csv").open()))
+    record = json.loads((tmp_path / "score.json").read_text())
+    indices = {"plain": 1, "reversed": len(labels) - 2}
+    for victim in record["victims"]:
+        target = indices[victim["name"]]
+        assert victim["target"]["index"] == target
+        own = [r for r in rows if r["victim"] == victim["name"]]
+        hits = sum(int(r["top1_index"]) == target for r in own)
+        assert victim["asr"] == pytest.approx(hits / len(own))
+        shown = [a["is_target"] for f in record["strip"] for a in f["answers"]
+                 if a["victim"] == victim["name"]]  # fmt: skip
+        assert sum(shown) == hits
+    refused = tt3d("video-score", video, "--target", 1, "--victims", *victims)
+    assert refused.returncode == 2 and "an index means another class" in refused.stderr
+
+
 def test_a_box_and_a_mask_cut_the_same(video: Path, tmp_path: Path) -> None:
     mask = np.zeros((80, 80), np.uint8)
     mask[10:60, 20:50] = 255  # at half the video's size

@@ -139,7 +139,8 @@ TEST(Video, RoundTrip) {
   before.duration_seconds = 2.5;
   before.target = {849, "", "teapot"};
   before.frames = 3;
-  before.victims = {{"m", "aa", {3, 1.0 / 3, {0.1, 0.8}}, 0.25, {{"", {1, 0, {0, 0.9}}}}}};
+  const ClassId target = {2, "", "teapot"};
+  before.victims = {{"m", "aa", target, {3, 1.0 / 3, {0.1, 0.8}}, 0.25, {{"", {1, 0, {0, 0.9}}}}}};
   before.strip = {{{"0.jpg", 0.5, "grass", {{"m", "teapot", 0.5, true}}}}};
   const nlohmann::json j = tt3d::to_json(before);
   EXPECT_EQ(tt3d::to_json(JsonValue(j, "v.json").as<VideoRecord>()), j);
@@ -182,11 +183,21 @@ TEST(Run, RoundTripAndSurrogates) {
   before.versions = {{"tt3d", "0.1.0"}};
   before.threads = 2;
   before.inputs = {{"a", "b"}};
-  before.stages = {{"field", 1.5, 1 << 20}};
+  before.stages = {{"field", 1.5, 1 << 20, 7, {{"a", "b"}}}};
+  before.unfinished = {{"mesh", 0, 0, 8, {{"c", "d"}}}};
   const nlohmann::json j = tt3d::to_json(before);
   const auto after = JsonValue(j, "run.json").as<RunRecord>();
   EXPECT_EQ(tt3d::to_json(after), j);
   EXPECT_EQ(after.surrogates(), (std::vector<std::string>{"seen", "other"}));
+}
+
+TEST(Run, StagesOfOlderVersionsHaveNoSeedAndNoInputs) {
+  const auto stage = nlohmann::json::parse(R"({"name": "field", "seconds": 1.5,
+                                               "peak_rss_bytes": 3})");
+  const auto after = JsonValue(stage, "run.json").as<StageRecord>();
+  EXPECT_EQ(after.name, "field");
+  EXPECT_FALSE(after.seed);
+  EXPECT_TRUE(after.inputs.empty());
 }
 
 TEST(Metrics, RoundTrip) {

@@ -80,6 +80,7 @@ record::VideoRecord sample_video() {
   r.frames = 60;
   r.victims = {{"seen-model",
                 "bb",
+                {},
                 {60, 0.55, {0.42, 0.67}},
                 0.5,
                 {{"", {1, 1, {0.2, 1}}},
@@ -92,7 +93,7 @@ record::RunRecord sample_run() {
   record::RunRecord r;
   r.seed = 7;
   r.versions = {{"torch", "2.11.0"}};
-  r.stages = {{"field", 185.2, 1610612736}, {"attack", 431.9, 2147483648}};
+  r.stages = {{"field", 185.2, 1610612736, 7, {}}, {"attack", 431.9, 2147483648, 7, {}}};
   r.config = {{"attack.surrogates", {"models/seen-model.pt2"}}};
   return r;
 }

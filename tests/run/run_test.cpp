@@ -99,6 +99,15 @@ TEST(Config, SetAcceptsTomlAndBareWords) {
   EXPECT_THROW(set_all(config, {std::string("attack.beta=much")}), InputError);
 }
 
+TEST(Config, AClassMayBeAnIndex) {
+  RunConfig config;
+  set_all(config, std::vector<std::string>{"evaluate.true_class=933", "attack.target=849"});
+  EXPECT_EQ(config.evaluate.true_class, "933");
+  EXPECT_EQ(config.attack.target, "849");
+  set_all(config, {std::string("attack.target=imagenet=hen,coco=bird")});
+  EXPECT_EQ(config.attack.target, "imagenet=hen,coco=bird");
+}
+
 TEST(Config, APresetSetsAllItsKeysExceptGivenOnes) {
   const auto steps_and_beta = [](const std::string& toml) {
     testing::TemporaryFolder folder;
@@ -210,6 +219,59 @@ TEST(RunFolder, AMalformedRecordIsAnErrorWithFileAndKey) {
       error_of_open(
           R"({"config": {"attack.steps": "450"}, "seed": 1, "versions": {}, "inputs": {}, "stages": []})"),
       {"run.json", "attack.steps", "integer"});
+}
+
+/// A run folder whose mesh stage is done and has read `file`.
+void write_run(const std::filesystem::path& folder, const std::filesystem::path& file) {
+  { const run::Run run(folder, {}, false); }
+  auto record = nlohmann::json::parse(read_file(folder / "run.json"));
+  record["stages"] = {{{"name", "mesh"},
+                       {"seconds", 1},
+                       {"peak_rss_bytes", 1},
+                       {"seed", 0},
+                       {"inputs", {{file.string(), sha256_file(file)}}}}};
+  write_file_atomic(folder / "run.json", record.dump());
+  write_file_atomic(folder / "mesh/mesh.safetensors", "product");
+}
+
+TEST(RunFolder, AFileThatChangedUnderAFinishedStageIsRefusedByName) {
+  testing::TemporaryFolder folder;
+  const std::filesystem::path photo = folder / "photo.jpg";
+  write_file_atomic(photo, "as it was");
+  write_run(folder / "r", photo);
+  Progress quiet;
+  const auto error_of_run = [&] {
+    try {
+      run::Run run = run::Run::open(folder / "r");
+      run.run_until("field", quiet);  // has no input, so it fails after the check
+      return std::string();
+    } catch (const InputError& error) {
+      return std::string(error.what());
+    }
+  };
+  expect_contains(error_of_run(), {"capture.path"});
+  write_file_atomic(photo, "as it is");
+  expect_contains(error_of_run(), {photo.string() + ": has changed since stage 'mesh' read it"});
+  // A stage that is forgotten reads its files anew.
+  {
+    run::Run run = run::Run::open(folder / "r");
+    run.forget_from("mesh");
+  }
+  expect_contains(error_of_run(), {"capture.path"});
+}
+
+TEST(RunFolder, ANewSeedHoldsFromAStageOn) {
+  testing::TemporaryFolder folder;
+  write_file_atomic(folder / "photo.jpg", "photo");
+  write_run(folder / "r", folder / "photo.jpg");
+  {
+    run::Run run = run::Run::open(folder / "r");
+    run.reconfigure({{"seed", int64_t{5}}}, "attack");
+    EXPECT_EQ(run.config().seed, 5U);
+    ASSERT_EQ(run.finished().size(), 1U);
+    EXPECT_EQ(run.finished()[0].seed, 0U) << "the mesh was made with the old seed";
+  }
+  EXPECT_EQ(run::Run::open(folder / "r").config().seed, 5U);
 }
 
 TEST(RunFolder, TheTableOfStagesIsConsistent) {

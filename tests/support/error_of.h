@@ -6,12 +6,12 @@
 
 namespace tt3d::testing {
 
-/// The message of the InputError that `action` throws; "" if it throws nothing.
-template <typename Action>
+/// The message of the error of type E that `action` throws; "" if it throws nothing.
+template <typename E = InputError, typename Action>
 std::string error_of(const Action& action) {
   try {
     action();
-  } catch (const InputError& error) {
+  } catch (const E& error) {
     return error.what();
   }
   return "";

@@ -106,8 +106,6 @@ struct EvaluateOptions {
   std::string target;            ///< class: index, WordNet id or name (find_class)
   uint64_t seed = 0;             ///< views come from a stream that training does not use
   at::Device device = at::kCPU;  ///< device of the renderer and the victims
-  std::string lpips;  ///< vgg, alex or squeeze: also LPIPS against the clean object; empty: none
-  std::filesystem::path lpips_backbone;  ///< weights of this network from torchvision
   double geometry_time_limit_seconds = 600;
 
   std::string true_class;
@@ -118,6 +116,9 @@ struct EvaluateOptions {
   std::string background = "white";
   RendererChoice renderer;
   bool geometry = false;
+  std::string lpips = "none";            ///< network of LPIPS against the clean object
+  std::filesystem::path lpips_backbone;  ///< empty: models/lpips/NET.pth
+  [[nodiscard]] bool measures_lpips() const { return lpips != "none"; }
 
   void keys(KeyList& key) {
     key("true_class", true_class,
@@ -130,6 +131,10 @@ struct EvaluateOptions {
     key("background", background, "white, #rrggbb or a folder of photographs");
     key("geometry", geometry,
         "also compares shapes with the clean object (needs scripts/setup --all)");
+    key.one_of("lpips", lpips, {"none", "vgg", "alex", "squeeze"},
+               "network of LPIPS against the clean object (needs scripts/setup --all)");
+    key("lpips_backbone", lpips_backbone,
+        "torchvision's weights of that network; empty: models/lpips/NET.pth");
     renderer.samples_key(key);
   }
 };

@@ -72,6 +72,12 @@ class Classifier {
   /// forward pass again, so that memory holds the intermediate results of one part only. Throws
   /// InputError for other images, ResourceError if not even one image fits.
   [[nodiscard]] virtual at::Tensor logits(const at::Tensor& images) const = 0;
+  /// How logits become probabilities: what the card says, else by the kind of network.
+  [[nodiscard]] virtual Scores scores() const { return card().scores.value_or(Scores::kSoftmax); }
+  /// True if the network scores anchors, as detectors do; `logits` gives the best score per class.
+  [[nodiscard]] virtual bool is_detector() const { return false; }
+  /// Number of a detector's anchors; 0 if the file does not state it.
+  [[nodiscard]] virtual int64_t anchors() const { return 0; }
   /// The same with mixed features; `mix.images` are like `images`. A classifier without layers of
   /// its own ignores `mix`.
   [[nodiscard]] virtual at::Tensor mixed_logits(const at::Tensor& images,
@@ -79,7 +85,8 @@ class Classifier {
     static_cast<void>(mix);
     return logits(images);
   }
-  /// SHA-256 over all parameters and buffers as they are used (after folding). It never changes.
+  /// SHA-256 over all parameters and buffers as they are used: after folding, and on a GPU the copy
+  /// there. It never changes.
   [[nodiscard]] virtual std::string weights_hash() const = 0;
   /// How well the model agreed with its card's probe, as far as the two were compared.
   [[nodiscard]] virtual const ProbeReport& probe() const = 0;
@@ -89,6 +96,21 @@ class Classifier {
   virtual void check_gradients() const {}
   /// The archive this was read from.
   [[nodiscard]] virtual const std::filesystem::path& path() const = 0;
+};
+
+/// Probabilities [N,classes] for logits [N,classes] of `model`, as its scores() say.
+[[nodiscard]] at::Tensor probabilities(const Classifier& model, const at::Tensor& logits);
+
+/// Proves that models stay as they are: takes the hashes of their weights, and compares them later.
+class WeightsGuard {
+ public:
+  explicit WeightsGuard(std::vector<std::shared_ptr<const Classifier>> models);
+  /// Throws Error if the weights of a model have changed since construction.
+  void check() const;
+
+ private:
+  std::vector<std::shared_ptr<const Classifier>> models_;
+  std::vector<std::string> hashes_;
 };
 
 /// Folders searched for model names, in order: ./models, those of $TT3D_MODELS (separated by ':'),

@@ -41,6 +41,14 @@ class StateVisitor {
   [[nodiscard]] virtual bool reading() const = 0;
 };
 
+/// The moments that Adam keeps of a list of parameters.
+struct AdamMoments {
+  std::vector<at::Tensor> first, second;  ///< one tensor per parameter, in its shape
+  /// Zeros for `parameters`.
+  void restart(const std::vector<at::Tensor>& parameters);
+  void visit(StateVisitor& visit) const;
+};
+
 /// The result of a step, before it is applied.
 struct StepLoss {
   double loss = 0;

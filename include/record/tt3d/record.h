@@ -92,6 +92,7 @@ struct ViewPose {
 /// The answers of one model for all views, and their figures.
 struct VictimRecord {
   std::string name, sha256;
+  std::optional<ClassId> target, true_class;  ///< in the labels of this model
   double asr = 0;  ///< attack success rate: share of views assigned to the target
   Interval asr_ci95;
   double mean_target_probability = 0;
@@ -106,6 +107,8 @@ template <typename V, Is<VictimRecord> S>
 void members(V& visit, S& v) {
   visit("name", v.name);
   visit("sha256", v.sha256);
+  visit("target", v.target);
+  visit("true_class", v.true_class);
   visit("clean_accuracy", v.clean_accuracy);
   visit("clean_n", v.clean_n);
   visit("asr", v.asr);
@@ -115,7 +118,8 @@ void members(V& visit, S& v) {
   visit("mean_target_probability", v.mean_target_probability);
 }
 
-/// Computes the figures of a victim from its answers. Without `true_class` or clean answers, the
+/// Computes the figures of a victim from its answers; `target` and `true_class` are indices in its
+/// labels. Without `true_class` or clean answers, the
 /// figures about the clean object stay empty.
 void summarize(VictimRecord& victim, int64_t target, std::optional<int64_t> true_class);
 
@@ -153,7 +157,7 @@ void members(V& visit, S& g) {
 /// The result of `tt3d evaluate`: FILE.json, and the answers for each view in FILE.csv.
 struct EvaluationRecord {
   std::string asset, asset_sha256;
-  ClassId target;
+  ClassId target;  ///< of the first victim; each victim has its own
   std::optional<ClassId> true_class;
   RendererRecord renderer;
   std::string background;
@@ -204,6 +208,7 @@ void members(V& visit, S& f) {
 /// The success of one model in the frames of a video.
 struct VideoVictim {
   std::string name, sha256;
+  std::optional<ClassId> target;  ///< in the labels of this model
   FrameShare all;
   double mean_target_probability = 0;
   std::map<std::string, FrameShare> backgrounds;  ///< by label; "" for frames without a label
@@ -212,6 +217,7 @@ template <typename V, Is<VideoVictim> S>
 void members(V& visit, S& v) {
   visit("name", v.name);
   visit("sha256", v.sha256);
+  visit("target", v.target);
   members(visit, v.all);
   visit("mean_target_probability", v.mean_target_probability);
   visit("backgrounds", v.backgrounds);
@@ -252,7 +258,7 @@ struct VideoRecord {
   std::string video, video_sha256;
   int64_t width = 0, height = 0;  ///< size of the upright frame, pixels
   double duration_seconds = 0;
-  ClassId target;
+  ClassId target;  ///< of the first victim; each victim has its own
   int64_t frames = 0;
   std::vector<VideoVictim> victims;
   std::optional<std::vector<StripFrame>> strip;
@@ -339,12 +345,16 @@ struct StageRecord {
   std::string name;
   double seconds = 0;
   int64_t peak_rss_bytes = 0;
+  std::optional<uint64_t> seed;               ///< absent in runs before version 0.3
+  std::map<std::string, std::string> inputs;  ///< SHA-256 by file, of the files that it read
 };
 template <typename V, Is<StageRecord> S>
 void members(V& visit, S& s) {
   visit("name", s.name);
   visit("seconds", s.seconds);
   visit("peak_rss_bytes", s.peak_rss_bytes);
+  visit("seed", s.seed);
+  visit.optional("inputs", s.inputs);
 }
 
 /// Quality of a field compared with the photographs: field/metrics.json.
@@ -392,8 +402,9 @@ struct RunRecord {
   std::map<std::string, std::string> versions;
   std::optional<int64_t> threads;
   std::optional<std::string> device;
-  std::map<std::string, std::string> inputs;  ///< SHA-256 by file
-  std::vector<StageRecord> stages;
+  std::map<std::string, std::string> inputs;  ///< SHA-256 by file, of all stages
+  std::vector<StageRecord> stages;            ///< finished
+  std::optional<StageRecord> unfinished;      ///< the stage that runs or was interrupted
   /// Names of the attack's surrogates, without folder and extension.
   [[nodiscard]] std::vector<std::string> surrogates() const;
 };
@@ -407,6 +418,7 @@ void members(V& visit, S& r) {
   visit("device", r.device);
   visit("inputs", r.inputs);
   visit("stages", r.stages);
+  visit("unfinished", r.unfinished);
 }
 
 // ---- Folders ------------------------------------------------------------------------------

@@ -47,12 +47,16 @@ class Run {
   /// Sets the device of the stages; the default is the CPU. It is not part of the configuration, so
   /// a run can resume on another device.
   void use_device(at::Device device) { device_ = device; }
-  /// Sets keys. If a value changes, forgets `first_stage` and all stages after it.
+  /// Sets keys. If a value changes, forgets `first_stage` and all stages after it. A new seed holds
+  /// from this stage on; each stage's record has the seed it used.
   void reconfigure(const std::vector<Assignment>& assignments, const std::string& first_stage);
   /// Marks a stage as not done; its product stays until the stage has run again.
   void forget(const std::string& stage);
+  /// Marks a stage and all later ones as not done and removes their checkpoints.
+  void forget_from(const std::string& stage);
 
-  /// Runs all stages up to and including `last` that are not done. Throws the errors of the stages.
+  /// Runs all stages up to and including `last` that are not done. Throws the errors of the stages;
+  /// InputError if a file has changed since a finished or interrupted stage read it.
   void run_until(const std::string& last, Progress& progress);
   /// True if the stage has finished and its product still exists.
   [[nodiscard]] bool done(const Stage& stage) const;
@@ -71,6 +75,12 @@ class Run {
   void save() const;
   [[nodiscard]] record::RunRecord record() const;
   void enter(const record::StageRecord& finished);
+  void run_stage(const Stage& stage, Progress& progress);
+  /// Throws InputError if a file that a finished stage has read is different now.
+  void check_inputs() const;
+  /// Records files that the present stage reads, with their SHA-256. Throws InputError if the stage
+  /// was interrupted and a file has changed since.
+  void add_inputs(const std::map<std::string, std::string>& hashes);
   [[nodiscard]] bool from_asset() const { return !config_.asset.path.empty(); }
 
   const capture::Capture& photographs(Progress& progress);
@@ -98,7 +108,7 @@ class Run {
   RunConfig config_;
   at::Device device_ = at::kCPU;
   std::vector<record::StageRecord> finished_;
-  std::map<std::string, std::string> input_hashes_;
+  std::optional<record::StageRecord> unfinished_;  ///< the present stage, or the interrupted one
   std::shared_ptr<capture::Capture> photographs_;
   asset::AssetFiles assets_;
   std::shared_ptr<void> lock_;  ///< released with the last copy of the run
