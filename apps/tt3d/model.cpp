@@ -11,6 +11,7 @@
 #include "commands.h"
 #include "tt3d/device.h"
 #include "tt3d/image.h"
+#include "tt3d/memory.h"
 #include "tt3d/model.h"
 
 namespace tt3d::cli {

@@ -129,17 +129,4 @@ double now_seconds() noexcept {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-int64_t peak_memory_bytes() noexcept {
-  // clear_refs resets VmHWM, but not getrusage's figure. The fallback is for systems without /proc.
-  std::ifstream status("/proc/self/status");
-  for (std::string line; std::getline(status, line);) {
-    if (line.starts_with("VmHWM:")) return std::strtoll(line.c_str() + 6, nullptr, 10) * 1024;
-  }
-  rusage usage{};
-  ::getrusage(RUSAGE_SELF, &usage);
-  return static_cast<int64_t>(usage.ru_maxrss) * 1024;
-}
-
-void reset_peak_memory() noexcept { std::ofstream("/proc/self/clear_refs") << "5"; }
-
 }  // namespace tt3d

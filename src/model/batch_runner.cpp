@@ -10,9 +10,11 @@
 
 #include "feature_mixer.h"
 #include "malformed.h"
+#include "memory.h"
 #include "precision.h"
 #include "program.h"
 #include "tt3d/gpu_options.h"
+#include "tt3d/memory.h"
 
 namespace tt3d::model {
 namespace {
@@ -135,6 +137,7 @@ at::Tensor BatchRunner::gradient(const Pictures& pictures, const at::Tensor& gra
 /// does not fit in memory.
 at::Tensor BatchRunner::in_parts(int64_t total, int64_t& fitting, const Part& part) const {
   std::vector<at::Tensor> parts;
+  bool released = false;
   for (int64_t start = 0; start < total;) {
     const int64_t count = std::min(fitting, total - start);
     std::string problem;
@@ -150,7 +153,13 @@ at::Tensor BatchRunner::in_parts(int64_t total, int64_t& fitting, const Part& pa
     } catch (const std::bad_alloc&) {
       problem = "out of memory";
     }
-    if (count == 1) throw ResourceError(problem + " with a single image");
+    if (count == 1) {
+      if (released) throw ResourceError(problem + " with a single image: " + memory_state());
+      // Freed memory that the process keeps may be what is missing.
+      released = true;
+      release_freed_memory();
+      continue;
+    }
     fitting = count / 2;
   }
   return parts.size() == 1 ? parts[0] : at::cat(parts, 0);

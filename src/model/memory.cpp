@@ -4,36 +4,16 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <fstream>
 #include <limits>
 #include <string>
+
+#include "tt3d/memory.h"
 
 namespace tt3d::model {
 namespace {
 
 constexpr int64_t kUnlimited = std::numeric_limits<int64_t>::max();
 thread_local int64_t largest_allocation = kUnlimited;
-
-/// The number at the start of a kernel file, or `otherwise` ("max", no such file).
-int64_t number_in(const char* path, int64_t otherwise) {
-  int64_t value = 0;
-  return std::ifstream(path) >> value ? value : otherwise;
-}
-
-int64_t machine_memory() {
-  std::ifstream lines("/proc/meminfo");
-  std::string key, unit;
-  for (int64_t kilobytes = 0; lines >> key >> kilobytes; std::getline(lines, unit)) {
-    if (key == "MemAvailable:") return kilobytes * 1024;
-  }
-  return kUnlimited;
-}
-
-int64_t control_group_memory() {
-  const int64_t limit = number_in("/sys/fs/cgroup/memory.max", kUnlimited);
-  if (limit == kUnlimited) return kUnlimited;
-  return std::max<int64_t>(limit - number_in("/sys/fs/cgroup/memory.current", 0), 0);
-}
 
 /// Torch's own allocator with the limit of AllocationLimit.
 class LimitedAllocator final : public c10::Allocator {
@@ -70,8 +50,16 @@ void install_limit() {
 
 int64_t memory_budget(int64_t limit) {
   // The backward pass needs memory in addition to what the forward pass keeps.
-  const int64_t left = std::min(machine_memory(), control_group_memory()) / 4 * 3;
-  return std::min(limit, left);
+  return std::min(limit, free_memory_bytes() / 4 * 3);
+}
+
+std::string memory_state() {
+  const auto gib = [](int64_t bytes) { return static_cast<double>(bytes) / (1 << 30); };
+  return fmt::format(
+      "{:.2f} GiB of memory are free and this process holds {:.2f} GiB; use fewer or smaller "
+      "models or a lower attack.image_size, end other programs, or run on a machine (or in a "
+      "container) with more memory",
+      gib(free_memory_bytes()), gib(memory_bytes()));
 }
 
 void MemoryMeter::add(const at::Tensor& tensor) {

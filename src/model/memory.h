@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <stdexcept>
+#include <string>
 
 namespace tt3d::model {
 
@@ -16,6 +17,9 @@ class MemoryLimit : public std::runtime_error {
 /// Memory limit for a run's results: `limit`, or most of the free memory of the machine (or its
 /// control group) if that is less.
 [[nodiscard]] int64_t memory_budget(int64_t limit);
+
+/// The free memory, what this process holds, and what to do, for the error of a lack of memory.
+[[nodiscard]] std::string memory_state();
 
 /// Counts the memory of a run's results. With autograd on, the backward pass keeps what it needs
 /// even after the result itself is released, so nothing is subtracted.

@@ -90,6 +90,7 @@ class Loop {
       ++state_.step;
       progress_.update(state_.step, result.metrics);
       optimization_.after_step(state_.step - 1);
+      trimmer_.after_step();
       if (checkpoint_due()) save();
       progress_.check();
     }
@@ -169,6 +170,7 @@ class Loop {
   const LoopOptions& options_;
   Progress& progress_;
   LoopState state_;
+  MemoryTrimmer trimmer_;
 };
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include "run_files.h"
 #include "tt3d/gpu_options.h"
 #include "tt3d/json.h"
+#include "tt3d/memory.h"
 #include "tt3d/version.h"
 
 namespace tt3d::run {

@@ -101,7 +101,7 @@ def save_dino(folder: Path) -> None:
         max_text_len=32,
     )
     transformers.GroundingDinoForObjectDetection(config).save_pretrained(folder)
-    size = {"shortest_edge": 64, "longest_edge": 96}
+    size = {"shortest_edge": 96, "longest_edge": 128}
     images = transformers.GroundingDinoImageProcessor(size=size)
     transformers.GroundingDinoProcessor(images, bert_tokenizer(folder)).save_pretrained(folder)
 

@@ -124,9 +124,5 @@ struct ProcessResult {
 /// Seconds on a monotonic clock.
 [[nodiscard]] double now_seconds() noexcept;
 
-/// Peak resident memory of this process in bytes. reset_peak_memory starts a new interval if the
-/// kernel allows it (Linux, /proc/self/clear_refs).
-[[nodiscard]] int64_t peak_memory_bytes() noexcept;
-void reset_peak_memory() noexcept;
 
 }  // namespace tt3d
