@@ -4,36 +4,16 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <fstream>
 #include <limits>
 #include <string>
+
+#include "tt3d/free_memory.h"
 
 namespace tt3d::model {
 namespace {
 
 constexpr int64_t kUnlimited = std::numeric_limits<int64_t>::max();
 thread_local int64_t largest_allocation = kUnlimited;
-
-/// The number at the start of a kernel file, or `otherwise` ("max", no such file).
-int64_t number_in(const char* path, int64_t otherwise) {
-  int64_t value = 0;
-  return std::ifstream(path) >> value ? value : otherwise;
-}
-
-int64_t machine_memory() {
-  std::ifstream lines("/proc/meminfo");
-  std::string key, unit;
-  for (int64_t kilobytes = 0; lines >> key >> kilobytes; std::getline(lines, unit)) {
-    if (key == "MemAvailable:") return kilobytes * 1024;
-  }
-  return kUnlimited;
-}
-
-int64_t control_group_memory() {
-  const int64_t limit = number_in("/sys/fs/cgroup/memory.max", kUnlimited);
-  if (limit == kUnlimited) return kUnlimited;
-  return std::max<int64_t>(limit - number_in("/sys/fs/cgroup/memory.current", 0), 0);
-}
 
 /// Torch's own allocator with the limit of AllocationLimit.
 class LimitedAllocator final : public c10::Allocator {
@@ -70,7 +50,7 @@ void install_limit() {
 
 int64_t memory_budget(int64_t limit) {
   // The backward pass needs memory in addition to what the forward pass keeps.
-  const int64_t left = std::min(machine_memory(), control_group_memory()) / 4 * 3;
+  const int64_t left = free_memory_bytes() / 4 * 3;
   return std::min(limit, left);
 }
 
