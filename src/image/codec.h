@@ -21,6 +21,10 @@ inline constexpr int64_t kMaxPixels = int64_t{1} << 27;
 /// True if the PNG has an alpha channel or a tRNS chunk.
 [[nodiscard]] bool png_has_alpha(std::string_view bytes, const std::filesystem::path& name);
 
+/// Decodes a PNG; a 16-bit file without values above 255 keeps its values.
+[[nodiscard]] at::Tensor decode_png_labels(std::string_view bytes,
+                                           const std::filesystem::path& name);
+
 /// Throws for empty images and those over kMaxPixels.
 void check_image_size(int64_t width, int64_t height, const std::filesystem::path& name);
 
