@@ -78,7 +78,9 @@ void read_cameras(const fs::path& path, ColmapModel& model) {
     for (size_t p = 0; p < lens->parameters; ++p) {
       camera.parameters.push_back(reader.take<double>());
     }
-    model.cameras[id] = std::move(camera);
+    if (!model.cameras.emplace(id, std::move(camera)).second) {
+      throw InputError(path, "defines camera " + std::to_string(id) + " twice");
+    }
   }
 }
 
@@ -118,8 +120,9 @@ void read_points(const fs::path& path, ColmapModel& model) {
 
 ColmapModel read_colmap_binary(const fs::path& folder) {
   ColmapModel model;
-  read_cameras(folder / "cameras.bin", model);
-  read_images(folder / "images.bin", model);
+  model.files = {folder / "cameras.bin", folder / "images.bin"};
+  read_cameras(model.files[0], model);
+  read_images(model.files[1], model);
   if (fs::exists(folder / "points3D.bin")) read_points(folder / "points3D.bin", model);
   return model;
 }
