@@ -22,7 +22,7 @@ def parse_labels(text: str) -> str | list[str]:
     if text == "imagenet-1k":
         return text
     path = Path(text)
-    content = path.read_text(encoding="utf-8")
+    content = path.read_text(encoding="utf-8-sig")
     if path.suffix == ".json":
         return [str(label) for label in json.loads(content)]
     return [line.strip() for line in content.splitlines() if line.strip()]

@@ -124,6 +124,7 @@ RawCapture read_colmap(const CaptureSource& source) {
   for (const ColmapImage& image : model.images) {
     capture.train.push_back(make_view(source.folder, model, image));
   }
+  capture.notes = std::move(model.notes);
   drop_repeats(capture.train, capture.notes);
   capture.points = std::move(model.points);
   for (const fs::path& file : model.files) capture.files.push_back(absolute_name(file));

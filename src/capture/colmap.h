@@ -30,6 +30,7 @@ struct ColmapModel {
   std::map<int64_t, ColmapCamera> cameras;
   std::vector<ColmapImage> images;
   std::vector<scene::linear::Vec3> points;
+  std::vector<std::string> notes;            ///< what the user should know, a line each
   std::vector<std::filesystem::path> files;  ///< read: of the cameras, then of the images
 };
 

@@ -42,6 +42,14 @@ class ByteReader {
     return text;
   }
 
+  /// Throws InputError if bytes follow the last record.
+  void check_end() const {
+    if (position_ == bytes_.size()) return;
+    throw InputError(path_, "has " + std::to_string(bytes_.size() - position_) +
+                                " bytes after the records that it counts; expected a COLMAP "
+                                "binary model");
+  }
+
   void skip(size_t size) {
     need(size);
     position_ += size;
@@ -82,6 +90,7 @@ void read_cameras(const fs::path& path, ColmapModel& model) {
       throw InputError(path, "defines camera " + std::to_string(id) + " twice");
     }
   }
+  reader.check_end();
 }
 
 void read_images(const fs::path& path, ColmapModel& model) {
@@ -99,6 +108,7 @@ void read_images(const fs::path& path, ColmapModel& model) {
     reader.skip(points * kPointBytes);
     model.images.push_back(std::move(image));
   }
+  reader.check_end();
 }
 
 void read_points(const fs::path& path, ColmapModel& model) {
@@ -114,6 +124,7 @@ void read_points(const fs::path& path, ColmapModel& model) {
     const uint64_t track = reader.take_count(kTrackBytes);
     reader.skip(track * kTrackBytes);
   }
+  reader.check_end();
 }
 
 }  // namespace

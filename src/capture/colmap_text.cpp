@@ -19,9 +19,12 @@ class LineReader {
       ++number_;
       if (!line_.empty() && line_.back() == '\r') line_.pop_back();
       if (!line_.starts_with('#')) return true;
+      read_comment();
     }
     return false;
   }
+  /// What the comment "# Number of images: N" says; -1 if there is none.
+  [[nodiscard]] int64_t stated_images() const { return stated_images_; }
   [[nodiscard]] bool blank() const { return line_.find_first_not_of(" \t") == std::string::npos; }
   [[nodiscard]] std::istringstream words() const { return std::istringstream(line_); }
   [[nodiscard]] std::string where() const { return path_.string() + ":" + std::to_string(number_); }
@@ -30,9 +33,17 @@ class LineReader {
   }
 
  private:
+  void read_comment() {
+    constexpr std::string_view kImages = "# Number of images:";
+    if (!line_.starts_with(kImages)) return;
+    std::istringstream words(line_.substr(kImages.size()));
+    if (int64_t number = 0; words >> number) stated_images_ = number;
+  }
+
   fs::path path_;
   std::istringstream stream_;
   std::string line_;
+  int64_t stated_images_ = -1;
   long number_ = 0;
 };
 
@@ -109,6 +120,11 @@ void read_images(const fs::path& path, ColmapModel& model) {
     model.images.push_back(std::move(image));
     points_may_follow = true;
   }
+  const auto found = static_cast<int64_t>(model.images.size());
+  if (reader.stated_images() < 0 || reader.stated_images() == found) return;
+  model.notes.push_back(path.string() + ": its comment says " +
+                        std::to_string(reader.stated_images()) + " images, but it holds " +
+                        std::to_string(found) + "; the file may be incomplete");
 }
 
 void read_points(const fs::path& path, ColmapModel& model) {

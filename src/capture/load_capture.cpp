@@ -55,6 +55,18 @@ void note_polarity(const std::vector<LoadedView>& views, Progress& progress) {
                 "other way round");
 }
 
+/// The notes about masks that are valid, but probably not what the user means.
+void note_masks(const std::vector<RawView>& raw, const std::vector<LoadedView>& views,
+                bool has_masks, Progress& progress) {
+  const bool files = !raw[0].mask.empty();
+  if (has_masks) note_polarity(views, progress);
+  if (files && !has_masks) {
+    progress.note(
+        "the mask files mark every pixel of every view as object; the capture is read "
+        "without masks");
+  }
+}
+
 /// All cameras of a capture, split into training and test views, with their mask files.
 RawCapture read_views(const CaptureOptions& options, const CaptureSource& source) {
   RawCapture raw = read_cameras(source);
@@ -84,7 +96,7 @@ Capture load_capture(const CaptureOptions& options, Progress& progress) {
   capture.format = source.format;
   capture.files = raw.files;
   capture.has_masks = agree_on_masks(all, views);
-  if (capture.has_masks) note_polarity(views, progress);
+  note_masks(all, views, capture.has_masks, progress);
   for (size_t i = 0; i < views.size(); ++i) {
     (i < train_count ? capture.train : capture.test).push_back(std::move(views[i].view));
   }

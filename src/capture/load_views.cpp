@@ -19,8 +19,8 @@ namespace {
 /// Number of threads that decode views; each holds one full-size image.
 constexpr int kLoaderThreads = 2;
 /// Memory that training needs for a photograph, in multiples of its 8-bit pixels: the photograph,
-/// the copy of its pixels that rays are drawn from, and their indices.
-constexpr int64_t kCopies = 3;
+/// the copy of its pixels that rays are drawn from, and their indices, twice while they are joined.
+constexpr int64_t kCopies = 4;
 
 /// Fills in what the camera file omits, and checks the image size against the file.
 void complete_camera(const RawView& raw, int width, int height, scene::Camera& camera) {

@@ -152,6 +152,7 @@ Tensor read_mask(const std::filesystem::path& path) {
   const Tensor rgba = picture.rgba.contiguous();
   const MaskFacts facts = facts_of(rgba, picture.exact);
   if (facts.transparent) return from_alpha(rgba, facts);
+  if (picture.labels) return from_threshold(rgba, 1);
   // The compression of a JPEG colours a few pixels.
   if (facts.coloured > (picture.exact ? 0 : facts.pixels / 1000)) {
     return from_colours(rgba, facts, picture.exact, path);

@@ -88,6 +88,12 @@ CaptureSource find_source(const CaptureOptions& options) {
   if (source.format == CaptureFormat::kNerfstudio) source.cameras = folder / kFramesFile;
   if (source.format != CaptureFormat::kColmap) {
     source.notes.clear();
+    if (options.format == CaptureFormat::kAuto && fs::exists(folder / kTrainFile) &&
+        fs::exists(folder / kFramesFile)) {
+      source.notes.push_back(folder.string() +
+                             ": read transforms_train.json, not "
+                             "transforms.json; to read that one, give its path as the capture");
+    }
     return source;
   }
   if (model.empty()) {

@@ -42,8 +42,8 @@ Tensor read_upright_image(const fs::path& path) {
 
 LabelPicture read_label_picture(const fs::path& path) {
   const std::string bytes = read_file(path);
-  if (is_png(bytes)) return {decode_png_labels(bytes, path), true};
-  return {decode_image(bytes, path), false};
+  if (is_png(bytes)) return decode_png_labels(bytes, path);
+  return {decode_image(bytes, path), /*exact=*/false};
 }
 
 }  // namespace tt3d::image

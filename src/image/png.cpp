@@ -111,10 +111,11 @@ at::Tensor decode_png(std::string_view bytes, const std::filesystem::path& name)
   return image;
 }
 
-at::Tensor decode_png_labels(std::string_view bytes, const std::filesystem::path& name) {
+LabelPicture decode_png_labels(std::string_view bytes, const std::filesystem::path& name) {
+  constexpr int kLargestLabel = 4095;
   PngReader reader(bytes);
   if (!read_header(reader)) throw_png_error(reader, name);
-  if (png_get_bit_depth(reader.png, reader.info) < 16) return decode_png(bytes, name);
+  if (png_get_bit_depth(reader.png, reader.info) < 16) return {decode_png(bytes, name)};
   const int64_t width = png_get_image_width(reader.png, reader.info);
   const int64_t height = png_get_image_height(reader.png, reader.info);
   check_image_size(width, height, name);
@@ -122,10 +123,11 @@ at::Tensor decode_png_labels(std::string_view bytes, const std::filesystem::path
   const at::Tensor wide = at::empty({height, width, 4, 2}, at::kByte);
   read_rgba(reader, true, width * 8, wide.data_ptr<uint8_t>(), name);
   const at::Tensor high = wide.select(3, 0);
-  if (high.narrow(2, 0, 3).max().item<uint8_t>() > 0) return decode_png(bytes, name);
-  at::Tensor image = wide.select(3, 1).contiguous();
+  const int highest = high.narrow(2, 0, 3).max().item<uint8_t>();
+  if (highest > kLargestLabel / 256) return {decode_png(bytes, name)};
+  at::Tensor image = wide.select(3, 1).masked_fill(high.ne(0), 255);
   image.select(2, 3).copy_(high.select(2, 3));
-  return image;
+  return {image, /*exact=*/true, /*labels=*/highest > 0};
 }
 
 bool png_has_alpha(std::string_view bytes, const std::filesystem::path& name) {

@@ -79,6 +79,13 @@ TEST(Mask, SixteenBit) {
   }
 }
 
+TEST(Mask, LabelsAbove255) {
+  using namespace std::string_literals;
+  std::vector<std::string> rows = rows_of("\x01\x2C"s, "\0\0"s);  // 300
+  rows[4] = rows_of("\0\1"s, "\0\0"s)[4];
+  expect_block(make_png(PNG_COLOR_TYPE_GRAY, 16, 16, rows), "labels 1 and 300");
+}
+
 TEST(Mask, OneBitAndPalette) {
   using namespace std::string_literals;
   std::vector<std::string> bits;
@@ -125,7 +132,7 @@ TEST(Mask, JpegIsThresholded) {
   EXPECT_TRUE(at::equal(read(image::encode_jpeg(large, 60)), expected));
   const at::Tensor red = (large * at::tensor({1, 0, 0}).to(at::kByte)).contiguous();
   const at::Tensor wrong = read(image::encode_jpeg(red, 85)).ne(expected);
-  EXPECT_LT(wrong.sum().item<int64_t>(), 0.02 * expected.numel());
+  EXPECT_LT(wrong.sum().item<int64_t>(), 0.02 * static_cast<double>(expected.numel()));
 }
 
 TEST(Mask, WhatIsNoMaskIsRefused) {
@@ -175,6 +182,13 @@ class MaskFilesOfACapture : public ::testing::Test {
     for (size_t i = 0; i < capture.train.size(); ++i) {
       EXPECT_TRUE(at::equal(capture.train[i].rgba, expected_.train[i].rgba)) << what;
     }
+  }
+  [[nodiscard]] testing::KeepNotes notes() const {
+    testing::KeepNotes kept;
+    CaptureOptions options;
+    options.path = folder_.path();
+    (void)error_of([&] { (void)load_capture(options, kept); });
+    return kept;
   }
   [[nodiscard]] std::string load_error() const {
     return error_of([&] { (void)testing::load(folder_.path()); });
@@ -239,18 +253,14 @@ TEST_F(MaskFilesOfACapture, ContradictionsAreErrors) {
 }
 
 TEST_F(MaskFilesOfACapture, InvertedMasksAreNoted) {
-  const auto notes = [&] {
-    testing::KeepNotes notes;
-    CaptureOptions options;
-    options.path = folder_.path();
-    (void)error_of([&] { (void)load_capture(options, notes); });
-    return notes;
-  };
   write_masks("masks/", ".png");
   EXPECT_FALSE(notes().contain("invert the masks"));
   for (at::Tensor& alpha : alpha_) alpha = 255 - alpha;
   write_masks("masks/", ".png");
   EXPECT_TRUE(notes().contain("white (or alpha) must be the object"));
+  for (at::Tensor& alpha : alpha_) alpha = at::full_like(alpha, 255);
+  write_masks("masks/", ".png");
+  EXPECT_TRUE(notes().contain("mark every pixel of every view as object"));
 }
 
 }  // namespace

@@ -19,8 +19,8 @@ TEST(Memory, TooManyPhotographsAreOneClearError) {
   testing::TemporaryFolder folder;
   testing::write_nerfstudio(folder.path(), testing::fixture_cameras(20));
   const std::vector<RawView> raw = photographs(folder.path());
-  // 20 photographs of 120x90 pixels, 4 bytes each, three times.
-  constexpr int64_t kNeeded = int64_t{20} * 120 * 90 * 4 * 3;
+  // 20 photographs of 120x90 pixels, 4 bytes each, four times.
+  constexpr int64_t kNeeded = int64_t{20} * 120 * 90 * 4 * 4;
   Progress quiet;
   EXPECT_EQ(load_views(raw, 0, kNeeded, quiet).size(), 20U);
   EXPECT_EQ(load_views(raw, 60, kNeeded / 4, quiet).size(), 20U);

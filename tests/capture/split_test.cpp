@@ -1,7 +1,7 @@
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
 
-#include <set>
+#include <sstream>
 
 #include "capture/synthetic_capture.h"
 #include "support/error_of.h"
@@ -284,6 +284,22 @@ TEST_F(Models, ImagesTextWithoutPointLines) {
   EXPECT_EQ(names(capture.test), names(whole.test));
   edit_text("images.txt", [](const std::string& text) { return text + "10.5 20.5\n"; });
   EXPECT_NE(load_error().find("images.txt:10: expected IMAGE_ID"), std::string::npos)
+      << load_error();
+}
+
+TEST_F(Models, AnIncompleteFileIsNotedOrRefused) {
+  write_model("0", 9, false);
+  edit_text("images.txt",
+            [](const std::string& text) { return "# Number of images: 12, mean: 3\n" + text; });
+  EXPECT_EQ(views(load(folder_.path(), notes_)), 9U);
+  EXPECT_TRUE(notes_.contain("its comment says 12 images, but it holds 9"));
+  fs::remove_all(folder_ / "sparse");
+  write_model("0", 9);
+  edit_text("images.bin", [](std::string bytes) {
+    bytes[0] = 7;
+    return bytes;
+  });
+  EXPECT_NE(load_error().find("bytes after the records that it counts"), std::string::npos)
       << load_error();
 }
 

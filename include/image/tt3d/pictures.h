@@ -28,9 +28,12 @@ namespace tt3d::image {
 struct LabelPicture {
   at::Tensor rgba;    ///< [H,W,4] uint8, as from read_image
   bool exact = true;  ///< false for a JPEG, whose compression changes the values
+  /// True for a 16-bit PNG with the largest value from 256 to 4095: too large for 8 bits, too dark
+  /// for a picture of 16. `rgba` then holds the labels, those above 255 as 255.
+  bool labels = false;
 };
-/// Reads a picture like read_image, but keeps the values of a 16-bit PNG without values above 255.
-/// Such a file holds labels; read_image would divide them by 257.
+/// Reads a picture like read_image, but keeps the values of a 16-bit PNG without values above 4095.
+/// read_image would divide them by 257.
 [[nodiscard]] LabelPicture read_label_picture(const std::filesystem::path& path);
 
 }  // namespace tt3d::image
