@@ -3,6 +3,7 @@
 
 #include "colmap.h"
 #include "tt3d/core.h"
+#include "tt3d/input_files.h"
 
 // Which COLMAP model of a capture is read, and in which encoding.
 
@@ -34,16 +35,16 @@ bool name_before(const fs::path& a, const fs::path& b) {
   return x.size() != y.size() ? x.size() < y.size() : x < y;
 }
 
-/// The models in the folders of `sparse`, then that in `sparse` itself.
-std::vector<fs::path> models_in(const fs::path& sparse) {
-  std::vector<fs::path> models;
+/// Adds the models in the folders of `sparse`, then that in `sparse` itself.
+void add_models(const fs::path& sparse, std::vector<fs::path>& models) {
+  std::vector<fs::path> inside;
   std::error_code error;
   for (fs::directory_iterator at(sparse, error), end; !error && at != end; at.increment(error)) {
-    if (is_colmap_model(at->path())) models.push_back(at->path());
+    if (!is_hidden(at->path()) && is_colmap_model(at->path())) inside.push_back(at->path());
   }
-  std::sort(models.begin(), models.end(), name_before);
+  std::sort(inside.begin(), inside.end(), name_before);
+  models.insert(models.end(), inside.begin(), inside.end());
   if (is_colmap_model(sparse)) models.push_back(sparse);
-  return models;
 }
 
 /// The model with the most pictures; the first one of equals.
@@ -100,16 +101,31 @@ bool same_images(const ColmapModel& a, const ColmapModel& b) {
 }
 
 /// Throws InputError if two encodings of a model differ.
-void check_same(const ColmapModel& binary, const ColmapModel& text) {
-  const bool cameras = same_cameras(binary, text);
-  if (cameras && same_images(binary, text)) return;
-  const fs::path& old = binary.files[cameras ? 1 : 0];
-  const std::string counts = cameras ? " (" + std::to_string(binary.images.size()) + " and " +
-                                           std::to_string(text.images.size()) + " pictures)"
-                                     : "";
-  throw InputError(old, "differs from " + text.files[cameras ? 1 : 0].filename().string() + counts +
-                            "; delete the .bin files to read the text, or the .txt files to read "
-                            "the binary model");
+void check_same(const fs::path& folder, const ColmapModel& binary, const ColmapModel& text) {
+  const auto differ = [&](const std::string& part, size_t a, size_t b) {
+    const std::string counts =
+        a == b ? "" : " (" + std::to_string(a) + " and " + std::to_string(b) + " entries)";
+    throw InputError(folder / (part + ".bin"),
+                     "differs from " + part + ".txt" + counts +
+                         "; delete the .bin files to read the text, or the .txt files to read the "
+                         "binary model");
+  };
+  if (!same_cameras(binary, text)) {
+    differ("cameras", binary.cameras.size(), text.cameras.size());
+  }
+  if (!same_images(binary, text)) differ("images", binary.images.size(), text.images.size());
+  const bool both = fs::exists(folder / "points3D.bin") && fs::exists(folder / "points3D.txt");
+  if (both && binary.points.size() != text.points.size()) {
+    differ("points3D", binary.points.size(), text.points.size());
+  }
+}
+
+/// A note if a part of the model is there in the encoding that is not read.
+void note_stray_files(const fs::path& folder, const std::string& unread, ColmapModel& model) {
+  for (const char* part : {"cameras", "images"}) {
+    const fs::path file = folder / (part + unread);
+    if (fs::exists(file)) model.notes.push_back(file.string() + " is not read");
+  }
 }
 
 }  // namespace
@@ -119,11 +135,10 @@ bool is_colmap_model(const fs::path& folder) {
 }
 
 fs::path find_colmap_model(const fs::path& folder, std::vector<std::string>& notes) {
-  for (const char* place : {"sparse", "colmap/sparse"}) {
-    const std::vector<fs::path> models = models_in(folder / place);
-    if (!models.empty()) return largest(models, folder, notes);
-  }
-  return is_colmap_model(folder) ? folder : fs::path();
+  std::vector<fs::path> models;
+  for (const char* place : {"sparse", "colmap/sparse"}) add_models(folder / place, models);
+  if (is_colmap_model(folder)) models.push_back(folder);
+  return models.empty() ? fs::path() : largest(models, folder, notes);
 }
 
 ColmapModel read_colmap_model(const fs::path& folder) {
@@ -131,9 +146,12 @@ ColmapModel read_colmap_model(const fs::path& folder) {
   if (!binary && !text) {
     throw InputError(folder, "expected cameras.bin and images.bin, or cameras.txt and images.txt");
   }
-  if (!binary) return read_colmap_text(folder);
-  ColmapModel model = read_colmap_binary(folder);
-  if (text) check_same(model, read_colmap_text(folder));
+  ColmapModel model = binary ? read_colmap_binary(folder) : read_colmap_text(folder);
+  if (binary && text) {
+    check_same(folder, model, read_colmap_text(folder));
+  } else {
+    note_stray_files(folder, binary ? ".txt" : ".bin", model);
+  }
   return model;
 }
 

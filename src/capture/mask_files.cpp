@@ -50,7 +50,9 @@ fs::path only_file(const std::map<std::string, std::vector<fs::path>>& index,
 
 MaskFiles::MaskFiles(const fs::path& folder) {
   for (const char* name : kFolders) {
-    if (fs::is_directory(folder / name)) add_folder(folder / name);
+    if (!fs::is_directory(folder / name)) continue;
+    mask_folder_ = folder / name;
+    add_folder(mask_folder_);
   }
 }
 
@@ -63,9 +65,7 @@ void MaskFiles::add_folder(const fs::path& folder) {
     std::error_code unreadable;
     if (is_hidden(path)) {
       at.disable_recursion_pending();
-    } else if (at->is_regular_file(unreadable)) {
-      mask_folder_ = folder;
-      if (!image::is_picture_name(path)) continue;
+    } else if (image::is_picture_name(path) && at->is_regular_file(unreadable)) {
       masks_[lower_case(without_extension(path.lexically_relative(folder)))].push_back(path);
     }
   }
@@ -121,7 +121,8 @@ void MaskFiles::assign(std::vector<RawView>& views) {
   }
   if (any || mask_folder_.empty() || views.empty()) return;
   throw InputError(mask_folder_, "no file in it is the mask of a picture; for " + views[0].name +
-                                     " expected " + expected_names(views[0]));
+                                     " expected " + expected_names(views[0]) +
+                                     "; rename the masks or remove the folder");
 }
 
 }  // namespace tt3d::capture

@@ -59,9 +59,9 @@ struct CaptureSource {
 
 /// True if the folder holds a COLMAP model, binary or text.
 [[nodiscard]] bool is_colmap_model(const std::filesystem::path& folder);
-/// The COLMAP model of a capture: the one with the most pictures among sparse and the folders in
-/// it, else among those of colmap/sparse, else the folder itself. Empty if there is none. If there
-/// are several, a line in `notes` says which is read.
+/// The COLMAP model of a capture: the one with the most pictures among sparse, colmap/sparse, the
+/// folders in them, and the folder itself. Empty if there is none. If there are several, a line in
+/// `notes` says which is read.
 [[nodiscard]] std::filesystem::path find_colmap_model(const std::filesystem::path& folder,
                                                       std::vector<std::string>& notes);
 

@@ -230,6 +230,8 @@ TEST_F(MaskFilesOfACapture, HiddenFilesAreSkipped) {
 }
 
 TEST_F(MaskFilesOfACapture, AFolderThatMatchesNothingIsAnError) {
+  fs::create_directory(folder_ / "masks");
+  EXPECT_NE(load_error().find("no file in it is the mask of a picture"), std::string::npos);
   write_masks("masks/other_", ".png");
   EXPECT_NE(load_error().find("masks: no file in it is the mask of a picture"), std::string::npos)
       << load_error();

@@ -257,7 +257,7 @@ TEST_F(Models, BothEncodingsMayNotDiffer) {
   EXPECT_TRUE(notes_.lines.empty());
   const std::string images = read_file(folder_ / "sparse/0/images.txt");
   edit_text("images.txt", [](std::string text) { return text.substr(0, text.find("\n7 ") + 1); });
-  EXPECT_NE(load_error().find("images.bin: differs from images.txt (8 and 6 pictures); delete"),
+  EXPECT_NE(load_error().find("images.bin: differs from images.txt (8 and 6 entries); delete"),
             std::string::npos)
       << load_error();
   write_file_atomic(folder_ / "sparse/0/images.txt", images);
@@ -266,6 +266,20 @@ TEST_F(Models, BothEncodingsMayNotDiffer) {
   });
   EXPECT_NE(load_error().find("cameras.bin: differs from cameras.txt"), std::string::npos)
       << load_error();
+}
+
+TEST_F(Models, EveryPlaceIsLookedAt) {
+  write_model("0", 3);
+  write_model("1", 9);
+  fs::create_directories(folder_ / "colmap/sparse");
+  fs::rename(folder_ / "sparse/1", folder_ / "colmap/sparse/0");
+  EXPECT_EQ(views(load(folder_.path(), notes_)), 9U);
+  EXPECT_TRUE(notes_.contain("read the COLMAP model colmap/sparse/0"));
+  fs::remove(folder_ / "colmap/sparse/0/points3D.bin");
+  fs::rename(folder_ / "sparse/0/images.bin", folder_ / "colmap/sparse/0/images.txt");
+  fs::remove_all(folder_ / "sparse");
+  EXPECT_EQ(views(load(folder_.path(), notes_)), 9U);
+  EXPECT_TRUE(notes_.contain("colmap/sparse/0/images.txt is not read"));
 }
 
 TEST_F(Models, ImagesTextWithoutPointLines) {
