@@ -85,11 +85,13 @@ void read_cameras(const fs::path& path, ColmapModel& model) {
   }
 }
 
-/// True for the second line of an image: X Y POINT3D_ID, any number of times.
+/// True for the second line of an image: X Y POINT3D_ID, any number of times. The first points
+/// tell; lines may be long.
 bool is_points_line(std::istringstream words) {
+  constexpr size_t kEnough = 12;
   double value = 0;
   size_t count = 0;
-  while ((words >> std::ws).peek() != std::istringstream::traits_type::eof()) {
+  while (count < kEnough && !(words >> std::ws).eof()) {
     if (!take_number(words, value)) return false;
     ++count;
   }

@@ -15,8 +15,8 @@ class MaskFiles {
   explicit MaskFiles(const std::filesystem::path& folder);
 
   /// Gives each view its mask file, if it has one and the cameras' file names none. Throws
-  /// InputError if two files may be the mask of a picture, if two pictures share a mask, or if there
-  /// is a folder of masks but no picture has a mask.
+  /// InputError if two files may be the mask of a picture, if two pictures share a mask, or if
+  /// there is a folder of masks but no picture has a mask.
   void assign(std::vector<RawView>& views);
 
   /// The mask file names that are looked for first, for messages: "masks/a.jpg.png or masks/a.png".

@@ -69,7 +69,7 @@ struct CaptureSource {
 [[nodiscard]] std::string absolute_name(const std::filesystem::path& path);
 
 /// `relative` (from a camera file) inside `folder`, with '/' or '\' between names; throws
-/// InputError if it is absolute, empty or leads out of the folder.
+/// InputError if it is empty or leads out of the folder.
 [[nodiscard]] std::filesystem::path path_inside(const std::filesystem::path& folder,
                                                 const std::string& relative,
                                                 const std::string& where);

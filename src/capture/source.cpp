@@ -111,7 +111,11 @@ fs::path path_inside(const fs::path& folder, const std::string& relative,
   std::error_code error;
   const bool literal = relative.find('/') == relative.npos && fs::exists(folder / relative, error);
   const std::string text = literal ? relative : with_forward_slashes(relative);
-  const fs::path path = fs::path(text).lexically_normal();
+  fs::path path = fs::path(text).lexically_normal();
+  if (path.is_absolute()) {
+    const fs::path inside = path.lexically_relative(fs::absolute(folder).lexically_normal());
+    if (!inside.empty()) path = inside;
+  }
   if (path.is_absolute() || has_drive_letter(text) || *path.begin() == "..") {
     throw InputError(where + ": '" + relative +
                      "' leads out of the capture's folder; expected "

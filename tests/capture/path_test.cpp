@@ -65,6 +65,11 @@ TEST_F(Paths, Backslashes) {
             std::string::npos);
 }
 
+TEST_F(Paths, AbsolutePathsInsideTheFolder) {
+  set_paths([&](const std::string& path) { return (folder_ / path).string(); });
+  expect_same("absolute");
+}
+
 TEST_F(Paths, NamesInUpperCase) {
   for (int i = 0; i < 9; ++i) {
     const std::string name = "images/view_0" + std::to_string(i);
