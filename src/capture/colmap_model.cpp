@@ -51,8 +51,8 @@ void add_models(const fs::path& sparse, std::vector<fs::path>& models) {
 fs::path largest(const std::vector<fs::path>& models, const fs::path& folder,
                  std::vector<std::string>& notes) {
   if (models.size() == 1) return models[0];
-  std::vector<uint64_t> counts;
-  for (const fs::path& model : models) counts.push_back(count_images(model));
+  std::vector<uint64_t> counts(models.size());
+  std::transform(models.begin(), models.end(), counts.begin(), count_images);
   const auto best = std::max_element(counts.begin(), counts.end()) - counts.begin();
   std::string others;
   for (size_t i = 0; i < models.size(); ++i) {

@@ -81,18 +81,18 @@ fs::path MaskFiles::find_beside(const RawView& view) {
     }
   }
   for (const std::string& name : mask_names(view.image.filename().string(), true)) {
-    const fs::path mask = only_file(index->second, name, view);
+    fs::path mask = only_file(index->second, name, view);
     if (!mask.empty()) return mask;
   }
   return {};
 }
 
 fs::path MaskFiles::find(const RawView& view) {
-  const fs::path beside = find_beside(view);
+  fs::path beside = find_beside(view);
   if (!beside.empty()) return beside;
   for (const std::string& end : path_ends(view.name)) {
     for (const std::string& name : mask_names(end, false)) {
-      const fs::path mask = only_file(masks_, name, view);
+      fs::path mask = only_file(masks_, name, view);
       if (!mask.empty()) return mask;
     }
   }

@@ -129,7 +129,7 @@ fs::path find_picture(const fs::path& path) {
   std::error_code error;
   if (fs::is_regular_file(path, error)) return path;
   for (const char* extension : {".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG"}) {
-    const fs::path candidate = path.string() + extension;
+    fs::path candidate = path.string() + extension;
     if (fs::is_regular_file(candidate, error)) return candidate;
   }
   if (!fs::is_directory(path.parent_path(), error)) return {};

@@ -90,6 +90,7 @@ std::set<size_t> indices_of(const ViewNames& names, const std::vector<std::strin
 
 std::vector<RawView> chosen(const std::vector<RawView>& views, const std::set<size_t>& indices) {
   std::vector<RawView> out;
+  out.reserve(indices.size());
   for (const size_t i : indices) out.push_back(views[i]);
   return out;
 }

@@ -87,7 +87,7 @@ fs::path named_mask(const fs::path& folder, const JsonValue& frame) {
   const auto given = frame.get<std::string>("mask_path", "");
   if (given.empty()) return {};
   const fs::path path = path_inside(folder, given, frame.where() + ".mask_path");
-  const fs::path mask = find_picture(path);
+  fs::path mask = find_picture(path);
   if (mask.empty()) throw InputError(path, "no such mask, named by " + frame.where());
   return mask;
 }

@@ -32,7 +32,7 @@ Backgrounds::Backgrounds(const std::string& text) {
 Tensor Backgrounds::photograph(size_t index) const {
   constexpr int64_t kKeptBytes = int64_t{256} << 20;
   if (decoded_[index].defined()) return decoded_[index];
-  const Tensor image = image::read_upright_image(photographs_[index]).narrow(2, 0, 3).contiguous();
+  Tensor image = image::read_upright_image(photographs_[index]).narrow(2, 0, 3).contiguous();
   if (decoded_bytes_ + image.numel() <= kKeptBytes) {
     decoded_[index] = image;
     decoded_bytes_ += image.numel();
