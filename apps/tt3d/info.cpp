@@ -7,6 +7,7 @@
 #include "commands.h"
 #include "tt3d/asset.h"
 #include "tt3d/capture.h"
+#include "tt3d/input_files.h"
 #include "tt3d/json.h"
 #include "tt3d/mesh.h"
 #include "tt3d/run.h"
@@ -79,18 +80,20 @@ json model_info(const std::string& path) {
 
 json info_of(const std::string& text, Progress& progress) {
   const fs::path path = text;
-  const std::string extension = path.extension().string();
   if (fs::exists(path / "run.json")) {
     json j = to_json(read_json_as<record::RunRecord>(path / "run.json"));
     j["kind"] = "run";
     return j;
   }
   if (fs::is_directory(path)) return capture_info(path, progress);
-  if (extension == ".glb" || extension == ".obj") return asset_info(path);
-  if (extension == ".safetensors") return tensors_info(path);
-  if (extension == ".pt2") return model_info(text);
+  if (has_extension(path, {".glb", ".obj"})) return asset_info(path);
+  if (has_extension(path, {".safetensors"})) return tensors_info(path);
+  if (has_extension(path, {".pt2"})) return model_info(text);
   if (!fs::exists(path)) throw InputError(path, "no such file or folder");
-  throw InputError(path, "expected a capture or run folder, .glb, .obj, .safetensors or .pt2");
+  if (has_extension(path, {".json", ".bin", ".txt"})) return capture_info(path, progress);
+  throw InputError(path,
+                   "expected a capture or its camera file, a run folder, .glb, .obj, .safetensors "
+                   "or .pt2");
 }
 
 void print_json(const json& j, const Common& common) {

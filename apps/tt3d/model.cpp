@@ -13,6 +13,7 @@
 #include "tt3d/image.h"
 #include "tt3d/memory.h"
 #include "tt3d/model.h"
+#include "tt3d/pictures.h"
 
 namespace tt3d::cli {
 namespace fs = std::filesystem;
@@ -126,12 +127,6 @@ void list(const Common& common) {
   std::cout << "; make one with 'python -m tt3d_tools.export efficientnet_lite0'\n";
 }
 
-bool is_image_name(const fs::path& path) {
-  std::string extension = path.extension().string();
-  for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return extension == ".jpg" || extension == ".jpeg" || extension == ".png";
-}
-
 /// Image files on the command line, and those in folders on the command line, sorted by name.
 std::vector<fs::path> image_files(const std::vector<std::string>& names) {
   std::vector<fs::path> files;
@@ -140,20 +135,16 @@ std::vector<fs::path> image_files(const std::vector<std::string>& names) {
       files.emplace_back(name);
       continue;
     }
-    std::vector<fs::path> inside;
-    for (const auto& entry : fs::directory_iterator(name)) {
-      if (entry.is_regular_file() && is_image_name(entry.path())) inside.push_back(entry.path());
-    }
+    const std::vector<fs::path> inside = image::list_pictures(name);
     if (inside.empty()) throw InputError(name, "has no JPEG or PNG files");
-    std::sort(inside.begin(), inside.end());
     files.insert(files.end(), inside.begin(), inside.end());
   }
   return files;
 }
 
-/// The input picture [1,3,H,W], composited over white.
+/// The input picture [1,3,H,W], upright and composited over white.
 at::Tensor picture(const fs::path& path, const model::ModelCard& card) {
-  const at::Tensor rgba = image::read_image(path).to(at::kFloat).div(255);
+  const at::Tensor rgba = image::read_upright_image(path).to(at::kFloat).div(255);
   const at::Tensor alpha = rgba.slice(2, 3, 4);
   const at::Tensor rgb = rgba.slice(2, 0, 3) * alpha + (1 - alpha);
   return model::preprocess(rgb.permute({2, 0, 1}).unsqueeze(0).contiguous(), card);

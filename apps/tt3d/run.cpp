@@ -198,7 +198,8 @@ void add_run(CLI::App& app, Common& common) {
 void add_fit(CLI::App& app, Common& common) {
   auto a = std::make_shared<Arguments>();
   CLI::App* command = app.add_subcommand("fit", "fit a radiance field to photographs");
-  command->add_option("CAPTURE", a->capture, "folder of photographs and cameras")->required();
+  command->add_option("CAPTURE", a->capture, "folder of photographs and cameras, or a camera file")
+      ->required();
   command->add_option("--out", a->run, "run folder")->required();
   command->add_option("--set", a->sets, "key=value of the configuration");
   command->add_flag("--restart", a->restart, "start over in a folder with a run");

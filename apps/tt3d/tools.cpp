@@ -11,6 +11,7 @@
 #include "tt3d/asset.h"
 #include "tt3d/evaluate.h"
 #include "tt3d/image.h"
+#include "tt3d/input_files.h"
 #include "tt3d/json.h"
 #include "tt3d/report.h"
 #include "tt3d/run.h"
@@ -34,13 +35,13 @@ double longest_side(const asset::TexturedMesh& mesh) {
 
 void write_asset(asset::TexturedMesh mesh, const fs::path& out, double size_mm,
                  Progress& progress) {
-  const std::string kind = out.extension().string();
-  if (kind == ".glb" || kind == ".obj") {
+  const bool glb = has_extension(out, {".glb"});
+  if (glb || has_extension(out, {".obj"})) {
     if (size_mm > 0) mesh.vertices = mesh.vertices * (size_mm / longest_side(mesh));
-    kind == ".glb" ? asset::write_glb(mesh, out) : asset::write_obj(mesh, out);
+    glb ? asset::write_glb(mesh, out) : asset::write_obj(mesh, out);
     return;
   }
-  if (kind != ".3mf" && kind != ".stl" && kind != ".ply") {
+  if (!has_extension(out, {".3mf", ".stl", ".ply"})) {
     throw InputError(out, "expected .glb, .obj, .ply, .3mf or .stl");
   }
   if (!out.parent_path().empty()) make_folder(out.parent_path());

@@ -99,7 +99,7 @@ def work(arguments: list[str]) -> None:
     mesh = read_mesh(source)
     scale_to(mesh, float(size_mm))
     temporary = path.with_name(f".{path.name}.part{path.suffix}")
-    WRITERS[path.suffix](mesh, temporary)
+    WRITERS[path.suffix.lower()](mesh, temporary)
     temporary.replace(path)
 
 

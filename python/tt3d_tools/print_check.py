@@ -97,7 +97,7 @@ def read_palette(path: str) -> np.ndarray:
 
     colors = []
     try:
-        text = Path(path).read_text()
+        text = Path(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise toolkit.InputProblem(f"{path}: cannot be read: {error}") from error
     for number, line in enumerate(text.splitlines(), 1):

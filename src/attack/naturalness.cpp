@@ -7,6 +7,7 @@
 
 #include "picture_ops.h"
 #include "tt3d/image.h"
+#include "tt3d/input_files.h"
 #include "tt3d/mesh.h"
 
 namespace tt3d::attack {
@@ -74,7 +75,7 @@ Tensor process_ink_mixes() {
 }
 
 Tensor load_printer_colors(const std::filesystem::path& path) {
-  std::istringstream in(read_file(path));
+  std::istringstream in(read_text(path));
   std::vector<float> values;
   std::string line;
   for (long number = 1; std::getline(in, line); ++number) {

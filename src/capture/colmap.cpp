@@ -4,6 +4,7 @@
 #include <iterator>
 
 #include "camera.h"
+#include "split.h"
 #include "tt3d/linear.h"
 
 namespace tt3d::capture {
@@ -69,22 +70,20 @@ Mat4 opengl_pose(const ColmapImage& image) {
   return frame(right, -1.0 * down, -1.0 * forward, position);
 }
 
-/// In COLMAP's convention a mask is masks/NAME.png, where NAME includes the image's own extension.
-fs::path find_mask(const fs::path& folder, const std::string& name) {
-  const fs::path masks = folder / "masks";
-  return first_file(
-      {masks / (name + ".png"), masks / fs::path(name).replace_extension(".png"), masks / name});
+/// A picture of a COLMAP model: in `images`, else relative to the capture's folder.
+fs::path find_image(const fs::path& folder, const ColmapImage& image) {
+  const fs::path path = path_inside(folder / "images", image.name, image.where);
+  fs::path found = find_picture(path);
+  if (found.empty()) found = find_picture(path_inside(folder, image.name, image.where));
+  if (found.empty()) throw InputError(path, "no such image, named by " + image.where);
+  return found;
 }
 
 RawView make_view(const fs::path& folder, const ColmapModel& model, const ColmapImage& image) {
   RawView view;
   view.where = image.where;
-  view.image = path_inside(folder / "images", image.name, image.where);
-  view.name = "images/" + image.name;
-  if (!fs::is_regular_file(view.image)) {
-    throw InputError(view.image, "no such image, named by " + image.where);
-  }
-  view.mask = find_mask(folder, image.name);
+  view.image = find_image(folder, image);
+  view.name = view.image.lexically_relative(folder).generic_string();
   const auto camera = model.cameras.find(image.camera);
   if (camera == model.cameras.end()) {
     throw InputError(image.where + ": camera " + std::to_string(image.camera) + " is not defined");
@@ -113,38 +112,22 @@ int colmap_lens_number(const std::string& name) {
   return found == std::end(kLenses) ? -1 : static_cast<int>(found - std::begin(kLenses));
 }
 
-fs::path find_colmap_model(const fs::path& folder) {
-  for (const char* place : {"sparse/0", "sparse", "colmap/sparse/0", "."}) {
-    for (const char* file : {"cameras.bin", "cameras.txt"}) {
-      if (fs::exists(folder / place / file)) return folder / place;
-    }
-  }
-  return {};
-}
-
-RawCapture read_colmap(const fs::path& folder) {
-  const fs::path model_folder = find_colmap_model(folder);
-  if (model_folder.empty()) {
-    throw InputError(folder, "contains no COLMAP model; expected sparse/0/cameras.bin or .txt");
-  }
-  const bool binary = fs::exists(model_folder / "cameras.bin");
-  ColmapModel model = binary ? read_colmap_binary(model_folder) : read_colmap_text(model_folder);
+RawCapture read_colmap(const CaptureSource& source) {
+  ColmapModel model = read_colmap_model(source.cameras);
   if (model.images.empty()) {
-    throw InputError(model_folder / (binary ? "images.bin" : "images.txt"),
+    throw InputError(model.files.back(),
                      "contains no images; expected at least one registered view");
   }
   std::sort(model.images.begin(), model.images.end(),
             [](const ColmapImage& a, const ColmapImage& b) { return a.name < b.name; });
   RawCapture capture;
   for (const ColmapImage& image : model.images) {
-    capture.train.push_back(make_view(folder, model, image));
+    capture.train.push_back(make_view(source.folder, model, image));
   }
+  capture.notes = std::move(model.notes);
+  drop_repeats(capture.train, capture.notes);
   capture.points = std::move(model.points);
-  for (const char* part : {"cameras", "images"}) {
-    const fs::path file = model_folder / (std::string(part) + (binary ? ".bin" : ".txt"));
-    capture.files.push_back(fs::absolute(file).lexically_normal().string());
-  }
-  split_off_test(capture);
+  for (const fs::path& file : model.files) capture.files.push_back(absolute_name(file));
   return capture;
 }
 

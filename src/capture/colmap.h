@@ -1,5 +1,6 @@
 #pragma once
 
+#include <filesystem>
 #include <map>
 #include <string>
 #include <vector>
@@ -29,6 +30,8 @@ struct ColmapModel {
   std::map<int64_t, ColmapCamera> cameras;
   std::vector<ColmapImage> images;
   std::vector<scene::linear::Vec3> points;
+  std::vector<std::string> notes;            ///< what the user should know, a line each
+  std::vector<std::filesystem::path> files;  ///< read: of the cameras, then of the images
 };
 
 /// A lens model: its name in text files and its number of parameters.
@@ -44,5 +47,7 @@ struct ColmapLens {
 
 [[nodiscard]] ColmapModel read_colmap_binary(const std::filesystem::path& folder);
 [[nodiscard]] ColmapModel read_colmap_text(const std::filesystem::path& folder);
+/// Reads a model in either encoding. Throws InputError if the folder holds both and they differ.
+[[nodiscard]] ColmapModel read_colmap_model(const std::filesystem::path& folder);
 
 }  // namespace tt3d::capture

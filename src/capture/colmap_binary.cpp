@@ -42,6 +42,14 @@ class ByteReader {
     return text;
   }
 
+  /// Throws InputError if bytes follow the last record.
+  void check_end() const {
+    if (position_ == bytes_.size()) return;
+    throw InputError(path_, "has " + std::to_string(bytes_.size() - position_) +
+                                " bytes after the records that it counts; expected a COLMAP "
+                                "binary model");
+  }
+
   void skip(size_t size) {
     need(size);
     position_ += size;
@@ -78,8 +86,11 @@ void read_cameras(const fs::path& path, ColmapModel& model) {
     for (size_t p = 0; p < lens->parameters; ++p) {
       camera.parameters.push_back(reader.take<double>());
     }
-    model.cameras[id] = std::move(camera);
+    if (!model.cameras.emplace(id, std::move(camera)).second) {
+      throw InputError(path, "defines camera " + std::to_string(id) + " twice");
+    }
   }
+  reader.check_end();
 }
 
 void read_images(const fs::path& path, ColmapModel& model) {
@@ -97,6 +108,7 @@ void read_images(const fs::path& path, ColmapModel& model) {
     reader.skip(points * kPointBytes);
     model.images.push_back(std::move(image));
   }
+  reader.check_end();
 }
 
 void read_points(const fs::path& path, ColmapModel& model) {
@@ -112,14 +124,16 @@ void read_points(const fs::path& path, ColmapModel& model) {
     const uint64_t track = reader.take_count(kTrackBytes);
     reader.skip(track * kTrackBytes);
   }
+  reader.check_end();
 }
 
 }  // namespace
 
 ColmapModel read_colmap_binary(const fs::path& folder) {
   ColmapModel model;
-  read_cameras(folder / "cameras.bin", model);
-  read_images(folder / "images.bin", model);
+  model.files = {folder / "cameras.bin", folder / "images.bin"};
+  read_cameras(model.files[0], model);
+  read_images(model.files[1], model);
   if (fs::exists(folder / "points3D.bin")) read_points(folder / "points3D.bin", model);
   return model;
 }

@@ -34,28 +34,48 @@ struct RawCapture {
   std::vector<RawView> test;
   std::vector<scene::linear::Vec3> points;  ///< sparse points of the scene, if the format has them
   std::vector<std::string> files;           ///< camera files read, absolute
+  std::vector<std::string> notes;           ///< what the user should know, a line each
 };
 
-/// transforms_train.json and transforms_test.json (val is not used).
-[[nodiscard]] RawCapture read_nerf_synthetic(const std::filesystem::path& folder);
-/// transforms.json, with train_filenames and test_filenames if present.
-[[nodiscard]] RawCapture read_nerfstudio(const std::filesystem::path& folder);
-/// A COLMAP sparse model in `folder`/sparse/0, `folder`/sparse, `folder`/colmap/sparse/0 or
-/// `folder`; images in `folder`/images.
-[[nodiscard]] RawCapture read_colmap(const std::filesystem::path& folder);
-/// The folder of the COLMAP model, or an empty path.
-[[nodiscard]] std::filesystem::path find_colmap_model(const std::filesystem::path& folder);
+/// The cameras of a capture: what CaptureOptions.path stands for.
+struct CaptureSource {
+  CaptureFormat format = CaptureFormat::kAuto;
+  std::filesystem::path folder;   ///< paths of pictures are relative to this
+  std::filesystem::path cameras;  ///< a JSON file, or the folder of a COLMAP model
+  std::vector<std::string> notes;
+};
 
-/// Moves every 8th view to `test` if the format has no test split and there is more than one view.
-void split_off_test(RawCapture& capture);
+/// Finds the cameras in a folder, or by the name of one of their files. Throws InputError if there
+/// are none.
+[[nodiscard]] CaptureSource find_source(const CaptureOptions& options);
 
-/// `relative` (from a camera file) inside `folder`; throws InputError if it is absolute, empty or
-/// leads out of the folder.
+/// A file of NeRF-synthetic for training (transforms_train.json), and its sibling for tests:
+/// transforms_test.json, else transforms_val.json.
+[[nodiscard]] RawCapture read_nerf_synthetic(const CaptureSource& source);
+/// transforms.json, with train_filenames, val_filenames and test_filenames if present.
+[[nodiscard]] RawCapture read_nerfstudio(const CaptureSource& source);
+/// A COLMAP sparse model; images in `folder`/images, or relative to `folder`.
+[[nodiscard]] RawCapture read_colmap(const CaptureSource& source);
+
+/// True if the folder holds a COLMAP model, binary or text.
+[[nodiscard]] bool is_colmap_model(const std::filesystem::path& folder);
+/// The COLMAP model of a capture: the one with the most pictures among sparse, colmap/sparse, the
+/// folders in them, and the folder itself. Empty if there is none. If there are several, a line in
+/// `notes` says which is read.
+[[nodiscard]] std::filesystem::path find_colmap_model(const std::filesystem::path& folder,
+                                                      std::vector<std::string>& notes);
+
+/// `path` for a message or a record of the run: absolute.
+[[nodiscard]] std::string absolute_name(const std::filesystem::path& path);
+
+/// `relative` (from a camera file) inside `folder`, with '/' or '\' between names; throws
+/// InputError if it is empty or leads out of the folder.
 [[nodiscard]] std::filesystem::path path_inside(const std::filesystem::path& folder,
                                                 const std::string& relative,
                                                 const std::string& where);
 
-/// The first path that is a file, or an empty path.
-[[nodiscard]] std::filesystem::path first_file(const std::vector<std::filesystem::path>& paths);
+/// The picture at `path`, or, if there is none, at `path` with an extension added, or with a name
+/// that differs in upper and lower case only. Empty if there is no such file.
+[[nodiscard]] std::filesystem::path find_picture(const std::filesystem::path& path);
 
 }  // namespace tt3d::capture

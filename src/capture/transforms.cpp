@@ -1,10 +1,10 @@
-#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <set>
 
 #include "camera.h"
 #include "raw_view.h"
+#include "split.h"
 #include "tt3d/json.h"
 #include "tt3d/linear.h"
 #include "tt3d/scene.h"
@@ -82,29 +82,13 @@ scene::linear::Mat4 read_pose(const JsonValue& frame) {
   return pose;
 }
 
-/// NeRF-synthetic omits the extension.
-fs::path find_image(const fs::path& path) {
-  std::vector<fs::path> candidates = {path};
-  for (const char* extension : {".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG"}) {
-    candidates.emplace_back(path.string() + extension);
-  }
-  return first_file(candidates);
-}
-
-/// mask_path, else IMAGE_mask.png next to the image, else masks/IMAGE.png in the capture.
-fs::path find_mask(const fs::path& folder, const JsonValue& frame, const fs::path& image) {
+/// The file that `mask_path` names; empty if the frame has none.
+fs::path named_mask(const fs::path& folder, const JsonValue& frame) {
   const auto given = frame.get<std::string>("mask_path", "");
-  if (given.empty()) {
-    const std::string stem = image.stem().string();
-    return first_file(
-        {image.parent_path() / (stem + "_mask.png"),
-         folder / "masks" / image.lexically_relative(folder).replace_extension(".png"),
-         folder / "masks" / (stem + ".png")});
-  }
-  const fs::path mask = path_inside(folder, given, frame.where() + ".mask_path");
-  if (!fs::is_regular_file(mask)) {
-    throw InputError(mask, "no such mask, named by " + frame.where());
-  }
+  if (given.empty()) return {};
+  const fs::path path = path_inside(folder, given, frame.where() + ".mask_path");
+  fs::path mask = find_picture(path);
+  if (mask.empty()) throw InputError(path, "no such mask, named by " + frame.where());
   return mask;
 }
 
@@ -112,10 +96,10 @@ RawView read_frame(const fs::path& folder, const JsonValue& frame, RawView view)
   view.where = frame.where();
   const auto given = frame.get<std::string>("file_path", "");
   const fs::path path = path_inside(folder, given, view.where + ".file_path");
-  view.image = find_image(path);
+  view.image = find_picture(path);
   if (view.image.empty()) throw InputError(path, "no such image, named by " + view.where);
   view.name = view.image.lexically_relative(folder).generic_string();
-  view.mask = find_mask(folder, frame, view.image);
+  view.mask = named_mask(folder, frame);
   read_intrinsics(frame, view);
   if (view.camera.fx == 0 && view.angle_x == 0) {
     frame.fail("no focal length; expected fl_x or camera_angle_x");
@@ -145,48 +129,46 @@ std::vector<RawView> read_frames(const fs::path& folder, const fs::path& file) {
   return read_frames(folder, JsonValue(document, file));
 }
 
-/// Strings of an optional array of file names, normalised.
-std::set<std::string> read_names(const JsonValue& root, const char* key) {
-  std::set<std::string> names;
-  for (const auto& name : root.get<std::vector<std::string>>(key, {})) {
-    names.insert(fs::path(name).lexically_normal().generic_string());
-  }
-  return names;
+/// The lists in transforms.json that split its frames.
+SplitLists read_lists(const JsonValue& root) {
+  const auto list = [&](const char* key) { return root.get<std::vector<std::string>>(key, {}); };
+  return {list("train_filenames"), list("val_filenames"), list("test_filenames")};
 }
 
-void add_file(RawCapture& capture, const fs::path& file) {
-  capture.files.push_back(fs::absolute(file).lexically_normal().string());
+/// The file of another split: transforms_train.json to transforms_test.json.
+fs::path sibling(const fs::path& train, const std::string& split) {
+  constexpr std::string_view kEnd = "train.json";
+  const std::string name = train.filename().string();
+  if (!name.ends_with(kEnd)) return {};
+  return train.parent_path() / (name.substr(0, name.size() - kEnd.size()) + split + ".json");
 }
 
 }  // namespace
 
-RawCapture read_nerf_synthetic(const fs::path& folder) {
+RawCapture read_nerf_synthetic(const CaptureSource& source) {
   RawCapture capture;
-  const fs::path train = folder / "transforms_train.json";
-  capture.train = read_frames(folder, train);
-  add_file(capture, train);
-  const fs::path test = folder / "transforms_test.json";
-  if (fs::exists(test)) {
-    capture.test = read_frames(folder, test);
-    add_file(capture, test);
+  capture.train = read_frames(source.folder, source.cameras);
+  capture.files.push_back(absolute_name(source.cameras));
+  drop_repeats(capture.train, capture.notes);
+  for (const char* split : {"test", "val"}) {
+    const fs::path file = sibling(source.cameras, split);
+    if (file.empty() || !fs::exists(file)) continue;
+    capture.test = read_frames(source.folder, file);
+    capture.files.push_back(absolute_name(file));
+    drop_repeats(capture.test, capture.notes);
+    break;
   }
-  split_off_test(capture);
   return capture;
 }
 
-RawCapture read_nerfstudio(const fs::path& folder) {
+RawCapture read_nerfstudio(const CaptureSource& source) {
   RawCapture capture;
-  const fs::path file = folder / "transforms.json";
-  const nlohmann::json document = read_json(file);
-  const JsonValue root(document, file);
-  capture.train = read_frames(folder, root);
-  add_file(capture, file);
-  const std::set<std::string> test_names = read_names(root, "test_filenames");
-  const auto is_test = [&](const RawView& view) { return test_names.contains(view.name); };
-  std::copy_if(capture.train.begin(), capture.train.end(), std::back_inserter(capture.test),
-               is_test);
-  std::erase_if(capture.train, is_test);
-  split_off_test(capture);
+  const nlohmann::json document = read_json(source.cameras);
+  const JsonValue root(document, source.cameras);
+  capture.train = read_frames(source.folder, root);
+  capture.files.push_back(absolute_name(source.cameras));
+  drop_repeats(capture.train, capture.notes);
+  split_by_lists(capture, read_lists(root), source.cameras);
   return capture;
 }
 

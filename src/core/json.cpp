@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "tt3d/core.h"
+#include "tt3d/input_files.h"
 
 namespace tt3d {
 
@@ -21,7 +22,7 @@ json parse_json(const std::string& text, const std::filesystem::path& path) {
   }
 }
 
-json read_json(const std::filesystem::path& path) { return parse_json(read_file(path), path); }
+json read_json(const std::filesystem::path& path) { return parse_json(read_text(path), path); }
 
 void write_json(const std::filesystem::path& path, const json& value) {
   write_file_atomic(path, value.dump(1) + "\n");

@@ -7,6 +7,7 @@
 #include "tt3d/asset.h"
 #include "tt3d/evaluate.h"
 #include "tt3d/image.h"
+#include "tt3d/input_files.h"
 #include "tt3d/scene.h"
 #include "tt3d/tool.h"
 #include "tt3d/version.h"
@@ -36,7 +37,7 @@ scene::Camera enlarged(scene::Camera camera, int factor) {
 /// The file that the renderer reads.
 fs::path file_for(RendererName renderer, const fs::path& path, const asset::TexturedMesh& asset,
                   const ExchangeFolder& folder) {
-  const bool obj = path.extension() == ".obj";
+  const bool obj = has_extension(path, {".obj"});
   if (renderer == RendererName::kBlender) return fs::absolute(path);
   if (obj && read_file(path).starts_with("# tt3d ")) return fs::absolute(path);
   fs::create_directories(folder / "asset");

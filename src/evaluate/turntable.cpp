@@ -6,6 +6,7 @@
 #include "tt3d/asset.h"
 #include "tt3d/evaluate.h"
 #include "tt3d/image.h"
+#include "tt3d/input_files.h"
 #include "tt3d/scene.h"
 #include "tt3d/tool.h"
 
@@ -21,7 +22,7 @@ constexpr double kEncodeSeconds = 3600;
 
 void render_turntable(const TurntableOptions& o, Progress& progress) {
   at::NoGradGuard guard;
-  if (o.out.extension() != ".mp4") throw InputError(o.out, "expected a name that ends in .mp4");
+  if (!has_extension(o.out, {".mp4"})) throw InputError(o.out, "expected a name that ends in .mp4");
   const asset::TexturedMesh asset = asset::load_asset(o.asset);
   const scene::ViewFrame frame = asset::view_frame(asset, o.asset);
   const auto count = static_cast<int64_t>(std::lround(o.seconds * o.frames_per_second)) * o.blur;

@@ -71,8 +71,8 @@ PixelPool make_pixel_pool(const std::vector<capture::View>& views, int64_t occup
   std::vector<int64_t> view_begin = {0};
   int64_t first_pixel = 0;
   for (const capture::View& view : views) {
-    pictures.push_back(image::premultiplied(view.rgba).view({-1, 4}));
-    pixels.push_back(dilated_mask(view, occupancy_size).flatten().nonzero().flatten());
+    pictures.push_back(view.rgba.reshape({-1, 4}));
+    pixels.push_back(dilated_mask(view, occupancy_size).flatten().nonzero().flatten().to(at::kInt));
     const auto numbers = camera_numbers(view.camera, first_pixel);
     cameras.insert(cameras.end(), numbers.begin(), numbers.end());
     view_begin.push_back(view_begin.back() + pixels.back().numel());
@@ -89,14 +89,14 @@ PixelPool make_pixel_pool(const std::vector<capture::View>& views, int64_t occup
 
 Rays random_rays(const PixelPool& pool, int64_t count, uint64_t seed, int64_t step) {
   Rays rays = empty_rays(count, pool.pictures.device());
-  rays.targets = at::empty({count, 4}, pool.pictures.options());
+  rays.targets = at::empty({count, 4}, rays.origins.options());
   const Random random(seed, "field/rays", static_cast<uint64_t>(step));
   const DrawRay body = {random.key(),
-                        pool.pixels.const_data_ptr<int64_t>(),
+                        pool.pixels.const_data_ptr<int32_t>(),
                         pool.view_begin.const_data_ptr<int64_t>(),
                         pool.cameras.size(0),
                         pool.cameras.const_data_ptr<double>(),
-                        pool.pictures.const_data_ptr<float>(),
+                        pool.pictures.const_data_ptr<uint8_t>(),
                         rays.origins.mutable_data_ptr<float>(),
                         rays.directions.mutable_data_ptr<float>(),
                         rays.targets.mutable_data_ptr<float>()};

@@ -20,9 +20,9 @@ struct Rays {
 /// background in any field that fits the masks, and give no gradient. The tensors are on the
 /// training device.
 struct PixelPool {
-  at::Tensor pictures;    ///< [all pixels,4] premultiplied colour and alpha, view after view
+  at::Tensor pictures;    ///< [all pixels,4] uint8, straight alpha, view after view
   at::Tensor cameras;     ///< [views,kCameraNumbers] double (rays_math.h)
-  at::Tensor pixels;      ///< [pool] int64, row-major indices within the picture
+  at::Tensor pixels;      ///< [pool] int32, row-major indices within the picture
   at::Tensor view_begin;  ///< [views + 1] int64 into pixels
 };
 PixelPool make_pixel_pool(const std::vector<capture::View>& views, int64_t occupancy_size,

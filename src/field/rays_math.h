@@ -31,14 +31,20 @@ TT3D_HD void pixel_ray(const double* camera, double column, double row, float or
   }
 }
 
+/// Straight alpha of 8 bits to premultiplied colour and alpha, as image::premultiplied does.
+TT3D_HD void premultiply(const uint8_t rgba[4], float out[4]) {
+  out[3] = static_cast<float>(rgba[3]) / 255.0F;
+  for (int k = 0; k < 3; ++k) out[k] = static_cast<float>(rgba[k]) / 255.0F * out[3];
+}
+
 /// Body: ray r through a random pixel of the pool, and the pixel's target.
 struct DrawRay {
   RandomKey key;
-  const int64_t* pixels;      ///< row-major indices within the picture, view after view
+  const int32_t* pixels;      ///< row-major indices within the picture, view after view
   const int64_t* view_begin;  ///< [views + 1] into pixels
   int64_t views;
-  const double* cameras;  ///< [views, kCameraNumbers]
-  const float* pictures;  ///< [all pixels, 4]
+  const double* cameras;    ///< [views, kCameraNumbers]
+  const uint8_t* pictures;  ///< [all pixels, 4], straight alpha
   float *origins, *directions, *targets;
   TT3D_HD void operator()(int64_t r) const {
     const RandomBlock block = key.block(static_cast<uint64_t>(r) / 2);
@@ -58,8 +64,8 @@ struct DrawRay {
     const int64_t pixel = pixels[i];
     pixel_ray(camera, static_cast<double>(pixel % width) + 0.5,
               static_cast<double>(pixel / width) + 0.5, origins + 3 * r, directions + 3 * r);
-    const float* target = pictures + 4 * (static_cast<int64_t>(camera[17]) + pixel);
-    for (int k = 0; k < 4; ++k) targets[4 * r + k] = target[k];
+    const uint8_t* photograph = pictures + 4 * (static_cast<int64_t>(camera[17]) + pixel);
+    premultiply(photograph, targets + 4 * r);
   }
 };
 

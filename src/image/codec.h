@@ -6,6 +6,7 @@
 #include <string_view>
 
 #include "tt3d/image.h"
+#include "tt3d/pictures.h"
 
 /// The decoders of read_image, one file per format. Each returns [H,W,4] uint8 and throws
 /// InputError that names `name`.
@@ -20,6 +21,10 @@ inline constexpr int64_t kMaxPixels = int64_t{1} << 27;
 [[nodiscard]] at::Tensor decode_jpeg(std::string_view bytes, const std::filesystem::path& name);
 /// True if the PNG has an alpha channel or a tRNS chunk.
 [[nodiscard]] bool png_has_alpha(std::string_view bytes, const std::filesystem::path& name);
+
+/// Decodes a PNG for read_label_picture.
+[[nodiscard]] LabelPicture decode_png_labels(std::string_view bytes,
+                                             const std::filesystem::path& name);
 
 /// Throws for empty images and those over kMaxPixels.
 void check_image_size(int64_t width, int64_t height, const std::filesystem::path& name);

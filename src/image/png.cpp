@@ -57,13 +57,14 @@ bool read_header(PngReader& reader) {
   return true;
 }
 
-/// Sets up the conversion to 8-bit RGBA and updates the info struct.
-bool prepare_rgba(PngReader& reader) {
+/// Sets up the conversion to RGBA and updates the info struct: to 8 bits, or, for a 16-bit file, to
+/// 16 bits if `keep_16`.
+bool prepare_rgba(PngReader& reader, bool keep_16) {
   if (setjmp(png_jmpbuf(reader.png)) != 0) return false;
   png_set_expand(reader.png);
-  png_set_scale_16(reader.png);
+  if (!keep_16) png_set_scale_16(reader.png);
   png_set_gray_to_rgb(reader.png);
-  png_set_add_alpha(reader.png, 255, PNG_FILLER_AFTER);
+  png_set_add_alpha(reader.png, keep_16 ? 0xFFFF : 0xFF, PNG_FILLER_AFTER);
   png_set_interlace_handling(reader.png);
   png_read_update_info(reader.png, reader.info);
   return true;
@@ -81,6 +82,17 @@ bool read_rows(PngReader& reader, png_bytepp rows) {
       name, std::string("cannot decode the PNG image: ") + reader.message + "; replace the file");
 }
 
+/// Reads all pixels as RGBA into rows of `row_bytes`.
+void read_rgba(PngReader& reader, bool keep_16, int64_t row_bytes, uint8_t* pixels,
+               const std::filesystem::path& name) {
+  if (!prepare_rgba(reader, keep_16)) throw_png_error(reader, name);
+  std::vector<png_bytep> rows(png_get_image_height(reader.png, reader.info));
+  for (size_t y = 0; y < rows.size(); ++y) {
+    rows[y] = pixels + static_cast<int64_t>(y) * row_bytes;
+  }
+  if (!read_rows(reader, rows.data())) throw_png_error(reader, name);
+}
+
 }  // namespace
 
 bool is_png(std::string_view bytes) {
@@ -94,14 +106,28 @@ at::Tensor decode_png(std::string_view bytes, const std::filesystem::path& name)
   const int64_t width = png_get_image_width(reader.png, reader.info);
   const int64_t height = png_get_image_height(reader.png, reader.info);
   check_image_size(width, height, name);
-  if (!prepare_rgba(reader)) throw_png_error(reader, name);
   at::Tensor image = at::empty({height, width, 4}, at::kByte);
-  std::vector<png_bytep> rows(static_cast<size_t>(height));
-  for (int64_t y = 0; y < height; ++y) {
-    rows[static_cast<size_t>(y)] = image.data_ptr<uint8_t>() + y * width * 4;
-  }
-  if (!read_rows(reader, rows.data())) throw_png_error(reader, name);
+  read_rgba(reader, false, width * 4, image.data_ptr<uint8_t>(), name);
   return image;
+}
+
+LabelPicture decode_png_labels(std::string_view bytes, const std::filesystem::path& name) {
+  constexpr int kLargestLabel = 4095;
+  PngReader reader(bytes);
+  if (!read_header(reader)) throw_png_error(reader, name);
+  if (png_get_bit_depth(reader.png, reader.info) < 16) return {decode_png(bytes, name)};
+  const int64_t width = png_get_image_width(reader.png, reader.info);
+  const int64_t height = png_get_image_height(reader.png, reader.info);
+  check_image_size(width, height, name);
+  // Each value is two bytes, the higher one first.
+  const at::Tensor wide = at::empty({height, width, 4, 2}, at::kByte);
+  read_rgba(reader, true, width * 8, wide.data_ptr<uint8_t>(), name);
+  const at::Tensor high = wide.select(3, 0);
+  const int highest = high.narrow(2, 0, 3).max().item<uint8_t>();
+  if (highest > kLargestLabel / 256) return {decode_png(bytes, name)};
+  at::Tensor image = wide.select(3, 1).masked_fill(high.ne(0), 255);
+  image.select(2, 3).copy_(high.select(2, 3));
+  return {image, /*exact=*/true, /*labels=*/highest > 0};
 }
 
 bool png_has_alpha(std::string_view bytes, const std::filesystem::path& name) {

@@ -90,7 +90,9 @@ class Refinement final : public optimize::Optimization {
   const capture::Capture& capture_;
   const MeshOptions& options_;
   uint64_t seed_;
-  std::vector<Tensor> targets_;  ///< premultiplied photographs
+  /// The photographs on the device, 8 bits, straight alpha. Each step converts those it uses:
+  /// all of them as float32 would take four times the memory.
+  std::vector<Tensor> photographs_;
   std::vector<std::vector<size_t>> groups_;
   int64_t views_;  ///< photographs per step; lowered if memory runs out
   // State.
@@ -117,7 +119,7 @@ Refinement::Refinement(const scene::TriMesh& mesh, const field::GridMlp& appeara
       groups_(groups_by_size(capture.train)),
       views_(options.views_per_step) {
   for (const capture::View& view : capture.train) {
-    targets_.push_back(image::premultiplied(view.rgba).to(appearance.grid.device()));
+    photographs_.push_back(view.rgba.to(appearance.grid.device()));
   }
 }
 
@@ -166,7 +168,7 @@ Tensor Refinement::loss_of(const std::vector<size_t>& views, int64_t step, Tenso
   std::vector<Tensor> wanted;
   for (const size_t v : views) {
     cameras.push_back(capture_.train[v].camera);
-    wanted.push_back(targets_[v]);
+    wanted.push_back(image::premultiplied(photographs_[v]));
   }
   const Tensor target = at::stack(wanted);
   const Tensor moved = vertices();
@@ -238,7 +240,8 @@ Tensor Refinement::face_errors() const {
     const Tensor rendered = render_mesh(
         moved, moved, prepared, {capture_.train[v].camera},
         [&](const raster::SurfacePoints& p) { return appearance_.color(p.positions); }, &rast);
-    const Tensor error = (rendered[0] - targets_[v]).square().sum(2).flatten();
+    const Tensor error =
+        (rendered[0] - image::premultiplied(photographs_[v])).square().sum(2).flatten();
     const Tensor face = rast.select(3, 3).flatten().to(at::kLong);
     sum.index_add_(0, face, error);
     pixels.index_add_(0, face, at::ones_like(error));

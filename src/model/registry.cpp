@@ -4,6 +4,7 @@
 #include <cstdlib>
 #include <map>
 
+#include "tt3d/input_files.h"
 #include "tt3d/model.h"
 
 namespace tt3d::model {
@@ -21,7 +22,7 @@ void add_folder(std::vector<fs::path>& folders, const fs::path& folder) {
 }
 
 bool looks_like_path(const std::string& model) {
-  return model.find('/') != std::string::npos || model.ends_with(".pt2");
+  return model.find('/') != std::string::npos || has_extension(model, {".pt2"});
 }
 
 }  // namespace
@@ -46,8 +47,8 @@ std::vector<ModelEntry> list_models() {
     std::error_code error;
     for (const auto& entry : fs::directory_iterator(folder, error)) {
       const fs::path& path = entry.path();
-      const bool hidden = path.filename().string().front() == '.';
-      if (path.extension() == ".pt2" && !hidden) found.emplace(path.stem().string(), path);
+      if (is_hidden(path) || !has_extension(path, {".pt2"})) continue;
+      found.emplace(path.stem().string(), path);
     }
   }
   std::vector<ModelEntry> entries;

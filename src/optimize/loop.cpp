@@ -4,6 +4,7 @@
 #include <new>
 #include <optional>
 
+#include "tt3d/memory.h"
 #include "tt3d/optimize.h"
 #include "tt3d/tensor_file.h"
 

@@ -1,6 +1,5 @@
-#include <algorithm>
-
 #include "tt3d/core.h"
+#include "tt3d/input_files.h"
 #include "tt3d/record.h"
 
 namespace tt3d::record {
@@ -17,14 +16,9 @@ std::vector<std::string> RunRecord::surrogates() const {
 }
 
 Records load_records(const fs::path& folder, const std::string& without) {
-  std::vector<fs::path> files;
-  for (const auto& entry : fs::directory_iterator(folder)) {
-    const fs::path& path = entry.path();
-    if (path.extension() == ".json" && path.filename() != without) files.push_back(path);
-  }
-  std::sort(files.begin(), files.end());
   Records records;
-  for (const fs::path& path : files) {
+  for (const fs::path& path : list_files(folder, {".json"})) {
+    if (path.filename() == without) continue;
     const auto document = nlohmann::json::parse(read_file(path), nullptr, false);
     if (!document.is_object()) continue;
     const JsonValue value(document, path);

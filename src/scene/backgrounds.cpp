@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "tt3d/image.h"
+#include "tt3d/pictures.h"
 #include "tt3d/scene.h"
 
 namespace tt3d::scene {
@@ -19,13 +20,7 @@ Backgrounds::Backgrounds(const std::string& text) {
     };
     color_ = at::tensor({channel(1), channel(3), channel(5)});
   } else if (std::filesystem::is_directory(text)) {
-    for (const auto& entry : std::filesystem::directory_iterator(text)) {
-      const auto extension = entry.path().extension();
-      if (extension == ".png" || extension == ".jpg" || extension == ".jpeg") {
-        photographs_.push_back(entry.path());
-      }
-    }
-    std::sort(photographs_.begin(), photographs_.end());
+    photographs_ = image::list_pictures(text);
     decoded_.resize(photographs_.size());
     if (photographs_.empty()) throw InputError(text, "contains no PNG or JPEG for a background");
   } else {
@@ -37,7 +32,7 @@ Backgrounds::Backgrounds(const std::string& text) {
 Tensor Backgrounds::photograph(size_t index) const {
   constexpr int64_t kKeptBytes = int64_t{256} << 20;
   if (decoded_[index].defined()) return decoded_[index];
-  const Tensor image = image::read_image(photographs_[index]).narrow(2, 0, 3).contiguous();
+  Tensor image = image::read_upright_image(photographs_[index]).narrow(2, 0, 3).contiguous();
   if (decoded_bytes_ + image.numel() <= kKeptBytes) {
     decoded_[index] = image;
     decoded_bytes_ += image.numel();

@@ -4,6 +4,7 @@
 
 zip: small archives, stored and deflated. graph: graph and tables of weights, in the layout of
 graph_fuzz.cpp. card: the toy cards with short probes. asset: a triangle as GLB and a quad as OBJ.
+image: small pictures.
 The results are committed.
 """
 
@@ -12,6 +13,8 @@ import json
 import struct
 import zipfile
 from pathlib import Path
+
+from PIL import Image
 
 HERE = Path(__file__).parent
 FIXTURES = HERE.parent / "model" / "fixtures"
@@ -120,6 +123,20 @@ def glb_seed() -> bytes:
     return b"g" + head + chunks + struct.pack("<I4s", len(binary), b"BIN\0") + binary
 
 
+def image_seeds() -> dict[str, bytes]:
+    """Return small pictures with an EXIF orientation, and a 16-bit mask of labels."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    seeds = {}
+    for kind in ("PNG", "JPEG"):
+        buffer = io.BytesIO()
+        Image.new("RGB", (3, 2), (200, 30, 90)).save(buffer, kind, exif=exif)
+        seeds["turned_" + kind.lower()] = buffer.getvalue()
+    buffer = io.BytesIO()
+    Image.new("I;16", (3, 2), 1).save(buffer, "PNG")
+    return {**seeds, "labels_png": buffer.getvalue()}
+
+
 def write(folder: str, seeds: dict[str, bytes]) -> None:
     """Write seeds into a folder of the corpus."""
     target = HERE / "corpus" / folder
@@ -136,6 +153,7 @@ def main() -> None:
     imagenet = json.loads(card_seed("toy_cnn")) | {"labels": "imagenet-1k", "probe": None}
     write("card", {name: card_seed(name) for name in TOYS} | {"imagenet": compact(imagenet)})
     obj = b"ov 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nv 1 1 0\nvt 0 0\nf 1/1 2/1 -1/1 3/1\n"
+    write("image", image_seeds())
     write("asset", {"triangle_glb": glb_seed(), "quad_obj": obj})
 
 

@@ -4,6 +4,7 @@
 #include "support/synthetic_capture.h"
 #include "support/temporary_folder.h"
 #include "tt3d/capture.h"
+#include "tt3d/image.h"
 #include "tt3d/mesh.h"
 #include "tt3d/raster.h"
 #include "tt3d/scene.h"
@@ -23,6 +24,11 @@ field::GridMlp small_appearance() {
   shape.appearance = {6, 8, 64, 12, 2};
   shape.occupancy = 8;
   return field::RadianceField::create(shape, 1).appearance;
+}
+
+TEST_F(MeshOnGpu, PhotographsAreConvertedToTheBytesOfTheCpu) {
+  const Tensor rgba = testing::uniform({64, 80, 4}, 0, 256, 3).to(at::kByte);
+  EXPECT_TRUE(at::equal(image::premultiplied(rgba), image::premultiplied(rgba.to(gpu)).cpu()));
 }
 
 TEST_F(MeshOnGpu, RegularisersAndTheirGradients) {

@@ -89,6 +89,21 @@ TEST(RefineMesh, ResumedAfterAnyStopGivesTheSameBytes) {
   EXPECT_TRUE(at::equal(whole.appearance->parameters()[0], again.appearance->parameters()[0]));
 }
 
+TEST(RefineMesh, PhotographsStayInEightBits) {
+  // 13 million pixels; as float32 they would take 210 MB.
+  const capture::Capture capture = testing::ball_capture(267, 256);
+  const testing::Shape start = testing::sphere(3, 0.55F);
+  Progress quiet;
+  testing::TemporaryFolder folder;
+  MeshOptions o = small_options();
+  o.refine_steps = 2;
+  reset_peak_memory();
+  const int64_t before = peak_memory_bytes();
+  (void)refine_mesh({start.vertices, start.faces}, small_appearance(), capture, o, 1, folder / "c",
+                    quiet);
+  EXPECT_LT(peak_memory_bytes() - before, int64_t{120} << 20);
+}
+
 TEST(RefineMesh, DivergenceRollsBackThreeTimesAndThenStops) {
   const capture::Capture capture = testing::ball_capture(4, 16);
   const testing::Shape start = testing::sphere(2, 0.58F);

@@ -4,6 +4,7 @@
 #include <set>
 #include <string>
 
+#include "support/exif.h"
 #include "support/temporary_folder.h"
 #include "tt3d/core.h"
 #include "tt3d/image.h"
@@ -28,6 +29,36 @@ TEST(Backgrounds, ColoursFoldersAndMistakes) {
   const Tensor photo = Backgrounds(folder.path().string()).draw(8, 12, random);
   EXPECT_EQ(photo.sizes(), (at::IntArrayRef{8, 12, 3}));
   EXPECT_NEAR(photo[4][4][1].item<double>(), 0.2, 1e-4);
+}
+
+TEST(Backgrounds, FoldersAsUsersHaveThem) {
+  testing::TemporaryFolder folder;
+  const std::string grey = image::encode_png(at::full({6, 9, 3}, 51, at::kByte));
+  write_file_atomic(folder / "._IMG_0000.JPG", "Mac");
+  write_file_atomic(folder / ".DS_Store", "Mac");
+  write_file_atomic(folder / "notes.txt", "text");
+  EXPECT_THROW(Backgrounds{folder.path().string()}, InputError);
+  for (const char* name : {"IMG_0001.JPG", "IMG_0002.JPEG", "X.PNG"}) {
+    write_file_atomic(folder / name, grey);
+  }
+  const Backgrounds backgrounds(folder.path().string());
+  for (uint64_t i = 0; i < 20; ++i) {
+    Random random(7, "test", i);
+    EXPECT_NEAR(backgrounds.draw(4, 4, random)[1][1][0].item<double>(), 0.2, 1e-4);
+  }
+}
+
+TEST(Backgrounds, PhotographsAreUpright) {
+  testing::TemporaryFolder folder;
+  // Stored upside down: the lower half is white, so the upright picture is white above.
+  at::Tensor stored = at::zeros({8, 8, 3}, at::kByte);
+  stored.narrow(0, 4, 4).fill_(255);
+  write_file_atomic(folder / "a.png",
+                    testing::png_with_exif(image::encode_png(stored), testing::exif_data(3, true)));
+  Random random(1, "test", 0);
+  const Tensor drawn = Backgrounds(folder.path().string()).draw(8, 8, random);
+  EXPECT_NEAR(drawn[0][4][0].item<double>(), 1, 1e-4);
+  EXPECT_NEAR(drawn[7][4][0].item<double>(), 0, 1e-4);
 }
 
 TEST(Backgrounds, PhotographsAreDrawnByTheStream) {

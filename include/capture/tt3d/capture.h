@@ -30,13 +30,14 @@ struct View {
 /// All photographs of one object.
 struct Capture {
   std::vector<View> train;
-  std::vector<View> test;  ///< held out; from the format's test split, else every 8th view
-  bool has_masks = false;  ///< true if alpha separates object and background
+  /// Held out: the format's test views, else its validation views, else every 8th view.
+  std::vector<View> test;
+  bool has_masks = false;              ///< true if alpha separates object and background
   scene::Normalization normalization;  ///< from the world to the normalised frame of the cameras
   double object_radius = 1;  ///< bound on the object's distance from the origin, normalised
   CaptureFormat format = CaptureFormat::kAuto;  ///< the detected format
-  std::vector<std::string> files;  ///< camera files that were read, absolute; a run records their
-                                   ///< hashes
+  std::vector<std::string> files;  ///< cameras, pictures and masks that were read, absolute; a run
+                                   ///< records their hashes
 };
 
 struct CaptureOptions {
@@ -47,7 +48,7 @@ struct CaptureOptions {
   int max_test_views = 0;
 
   void keys(KeyList& key) {
-    key("path", path, "folder of the photographs and their cameras");
+    key("path", path, "folder of the photographs and their cameras, or a camera file");
     key("format", format, "file format of the cameras");
     key("max_size", max_size, {0, 16384}, "pixels",
         "photographs are reduced to this longer side by area averaging; 0 keeps them");
@@ -58,9 +59,11 @@ struct CaptureOptions {
   }
 };
 
-/// Reads a capture. Throws InputError with file and problem: missing, empty or corrupt images;
-/// sizes that differ from the camera file; NaN, singular or mirrored matrices; no frames; paths
-/// outside the folder of the capture; an object that no camera sees.
+/// Reads a capture. Notes to `progress` what it merges or leaves out. Throws InputError with file
+/// and problem: missing, empty or corrupt images; sizes that differ from the camera file; NaN,
+/// singular or mirrored matrices; no frames; paths outside the folder of the capture; masks or
+/// splits that contradict each other; an object that no camera sees. Throws ResourceError if the
+/// photographs need more memory than is free.
 [[nodiscard]] Capture load_capture(const CaptureOptions& options, Progress& progress);
 
 /// The view frame of a capture, in normalised coordinates: centre at the origin, median camera
