@@ -82,18 +82,21 @@ json model_info(const std::string& path) {
 
 json info_of(const std::string& text, Progress& progress) {
   const fs::path path = text;
-  const std::string extension = path.extension().string();
+  std::string extension = path.extension().string();
+  for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
   if (fs::exists(path / "run.json")) {
     json j = to_json(read_json_as<record::RunRecord>(path / "run.json"));
     j["kind"] = "run";
     return j;
   }
   if (fs::is_directory(path)) return capture_info(path, progress);
-  if (extension == ".glb" || extension == ".obj") return asset_info(path, progress);
+  if (extension == ".glb" || extension == ".gltf" || extension == ".obj")
+    return asset_info(path, progress);
   if (extension == ".safetensors") return tensors_info(path);
   if (extension == ".pt2") return model_info(text);
   if (!fs::exists(path)) throw InputError(path, "no such file or folder");
-  throw InputError(path, "expected a capture or run folder, .glb, .obj, .safetensors or .pt2");
+  throw InputError(path,
+                   "expected a capture or run folder, .glb, .gltf, .obj, .safetensors or .pt2");
 }
 
 void print_json(const json& j, const Common& common) {

@@ -72,7 +72,7 @@ struct ExportArguments {
 void add_export(CLI::App& app, Common& common) {
   auto a = std::make_shared<ExportArguments>();
   CLI::App* command = app.add_subcommand("export", "write an asset as GLB, OBJ, PLY, 3MF or STL");
-  command->add_option("ASSET", a->asset, "GLB or OBJ")->required();
+  command->add_option("ASSET", a->asset, "GLB, glTF or OBJ")->required();
   command->add_option("--out", a->out, "FILE.glb, .obj, .ply, .3mf or .stl")->required();
   command->add_option("--size-mm", a->size_mm, "longest side, mm; default: the units of the asset")
       ->check(CLI::PositiveNumber);

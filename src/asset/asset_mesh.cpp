@@ -55,10 +55,10 @@ void check_mesh(const TexturedMesh& mesh, const fs::path& where) {
 
 TexturedMesh load_asset(const fs::path& path, Progress* progress) {
   const std::string extension = lower_case(path.extension().string());
-  if (extension != ".glb" && extension != ".obj") {
-    throw InputError(path, "expected an asset with the extension .glb or .obj");
+  if (extension != ".glb" && extension != ".gltf" && extension != ".obj") {
+    throw InputError(path, "expected an asset with the extension .glb or .obj or .gltf");
   }
-  const AssetSource source = extension == ".glb" ? read_glb(path) : read_obj(path);
+  const AssetSource source = extension == ".obj" ? read_obj(path) : read_gltf(path);
   TexturedMesh mesh = merge_materials(source);
   check_mesh(mesh, path);
   for (const std::string& line : source.notes) {

@@ -56,7 +56,7 @@ struct AssetSource {
 void place_vertices(const AssetSource& source, TexturedMesh& mesh);
 
 [[nodiscard]] AssetSource read_obj(const std::filesystem::path& path);
-[[nodiscard]] AssetSource read_glb(const std::filesystem::path& path);
+[[nodiscard]] AssetSource read_gltf(const std::filesystem::path& path);
 
 /// Maximum size of a file of an asset, mesh or picture; this bounds the memory.
 inline constexpr uintmax_t kMaxPartBytes = uintmax_t{1} << 30;

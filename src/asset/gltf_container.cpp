@@ -101,8 +101,10 @@ std::string meshopt_fallback(const GltfFile& file, const json& buffer) {
 }  // namespace
 
 GltfFile::GltfFile(const std::filesystem::path& path) : path_(path) {
-  split_chunks(read_part(path));
-  if (!root_.is_object()) fail("its JSON chunk is not valid JSON");
+  const std::string bytes = read_part(path);
+  const bool is_text = bytes.find_first_of('{') < bytes.find("glTF");
+  is_text ? void(root_ = json::parse(bytes, nullptr, false)) : split_chunks(bytes);
+  if (!root_.is_object()) fail(is_text ? "is not valid JSON" : "its JSON chunk is not valid JSON");
   const auto asset = root_.find("asset");
   if (asset == root_.end() || !asset->is_object() || !asset->value("version", json()).is_string() ||
       !(*asset)["version"].get<std::string>().starts_with("2.")) {
@@ -168,7 +170,11 @@ void GltfFile::load_buffers() {
 }
 
 std::string GltfFile::uri_bytes(const std::string& uri) const {
-  if (!uri.starts_with("data:")) return read_part(resolve_reference(path_, decode_percent(uri)));
+  if (!uri.starts_with("data:")) {
+    // Some exporters do not escape the characters of a file name.
+    const auto unescaped = find_reference(path_, uri);
+    return read_part(unescaped ? *unescaped : resolve_reference(path_, decode_percent(uri)));
+  }
   constexpr std::string_view kMarker = ";base64,";
   const size_t marker = uri.find(kMarker);
   std::string bytes;

@@ -7,7 +7,7 @@
 
 #include "asset_source.h"
 
-/// Reader of binary glTF 2.0: every offset, count and index is checked against the data.
+/// Reader of glTF 2.0, binary or text: every offset, count and index is checked against the data.
 namespace tt3d::asset {
 
 /// The values of an accessor: `count` rows of `width` numbers.
@@ -17,7 +17,7 @@ struct AccessorValues {
   std::vector<double> values;
 };
 
-/// A parsed GLB: its JSON and its buffers.
+/// A parsed glTF file: its JSON and its buffers.
 class GltfFile {
  public:
   explicit GltfFile(const std::filesystem::path& path);

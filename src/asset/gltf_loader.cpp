@@ -161,6 +161,6 @@ class GltfReader {
 
 }  // namespace
 
-AssetSource read_glb(const std::filesystem::path& path) { return GltfReader(path).read(); }
+AssetSource read_gltf(const std::filesystem::path& path) { return GltfReader(path).read(); }
 
 }  // namespace tt3d::asset

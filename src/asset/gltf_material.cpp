@@ -58,7 +58,8 @@ bool is_black(const GltfMaterial& colour) {
   constexpr double kBlack = 1e-3;  // less than one step of an 8-bit sRGB texture
   const bool factor =
       std::all_of(colour.factor.begin(), colour.factor.end(), [](double f) { return f < kBlack; });
-  return factor || (colour.image.defined() && colour.image.max().item<uint8_t>() == 0);
+  constexpr uint8_t kRounding = 2;  // of JPEG
+  return factor || (colour.image.defined() && colour.image.max().item<uint8_t>() <= kRounding);
 }
 
 std::array<double, 3> rgb(const std::array<double, 4>& rgba) { return {rgba[0], rgba[1], rgba[2]}; }

@@ -106,6 +106,7 @@ class ObjReader {
     }
     if (corners.size() < 3) fail("at least three corners in the face");
     if (material_ < 0) use_material();
+    if (corners.size() == 3) return add_triangle(corners, {0, 1, 2});
     std::vector<std::array<double, 3>> points;
     for (const auto& [vertex, uv] : corners) {
       points.push_back(source_.positions[static_cast<size_t>(vertex)]);
@@ -115,13 +116,18 @@ class ObjReader {
       fail("a concave face of at most " + std::to_string(kMaxConcaveCorners) +
            " corners; split the face into triangles");
     }
-    for (const auto& [a, b, c] : *triangles) {
-      SourceFace face;
-      face.vertices = {corners[a][0], corners[b][0], corners[c][0]};
-      face.uvs = {corners[a][1], corners[b][1], corners[c][1]};
-      face.material = material_;
-      source_.faces.push_back(face);
+    for (const auto& triangle : *triangles) add_triangle(corners, triangle);
+  }
+
+  void add_triangle(const std::vector<std::array<int32_t, 2>>& corners,
+                    const std::array<size_t, 3>& triangle) {
+    SourceFace face;
+    for (size_t k = 0; k < 3; ++k) {
+      face.vertices[k] = corners[triangle[k]][0];
+      face.uvs[k] = corners[triangle[k]][1];
     }
+    face.material = material_;
+    source_.faces.push_back(face);
   }
 
   /// Makes the material of the last `usemtl` statement the current one.

@@ -38,7 +38,8 @@ fs::path file_for(RendererName renderer, const fs::path& path, const asset::Text
                   const ExchangeFolder& folder) {
   const bool obj = path.extension() == ".obj";
   const bool moved = asset.origin != std::array{0.0, 0.0, 0.0};  // the cameras are relative to it
-  if (renderer == RendererName::kBlender && !moved) return fs::absolute(path);
+  const bool gltf = path.extension() == ".gltf";
+  if (renderer == RendererName::kBlender && !moved && !gltf) return fs::absolute(path);
   if (obj && !moved && read_file(path).starts_with("# tt3d ")) return fs::absolute(path);
   fs::create_directories(folder / "asset");
   asset::TexturedMesh placed = asset;

@@ -58,6 +58,7 @@ at::Tensor read_image(const std::filesystem::path& path) {
 
 bool image_has_alpha(const std::filesystem::path& path) {
   const std::string bytes = read_file(path);
+  if (is_webp(bytes)) return webp_has_alpha(bytes, path);
   return is_png(bytes) && png_has_alpha(bytes, path);
 }
 

@@ -200,6 +200,21 @@ TEST_F(GlbGeometry, HiddenNodesAndEmptyScenes) {
   expect_bounds({0, 0, 0}, {6, 0, 1});
 }
 
+TEST_F(GlbGeometry, TextWithItsFilesBeside) {
+  glb_.use_texture();
+  const TexturedMesh expected = load();
+  glb_.root["buffers"][0]["uri"] = "data%201.bin";
+  write_file_atomic(folder_ / "data 1.bin", glb_.binary);
+  write_file_atomic(folder_ / "object.gltf", glb_.root.dump(1));
+  const TexturedMesh mesh = load_asset(folder_ / "object.gltf");
+  EXPECT_TRUE(at::equal(mesh.vertices, expected.vertices));
+  EXPECT_TRUE(at::equal(mesh.texture, expected.texture));
+  write_file_atomic(folder_ / "data%201.bin", glb_.binary.substr(0, 4));  // this name exists, too
+  EXPECT_NE(asset_error(folder_ / "object.gltf").find("is truncated"), std::string::npos);
+  write_file_atomic(folder_ / "object.gltf", "{\"asset\":");
+  EXPECT_NE(asset_error(folder_ / "object.gltf").find("is not valid JSON"), std::string::npos);
+}
+
 TEST_F(GlbGeometry, HugeCountsWithoutData) {
   const size_t positions = attributes()["POSITION"];
   attributes().erase("TEXCOORD_0");

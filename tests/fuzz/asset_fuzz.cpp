@@ -9,7 +9,7 @@ namespace {
 
 void read_asset(const std::filesystem::path& path, bool glb) {
   const tt3d::asset::AssetSource source =
-      glb ? tt3d::asset::read_glb(path) : tt3d::asset::read_obj(path);
+      glb ? tt3d::asset::read_gltf(path) : tt3d::asset::read_obj(path);
   const tt3d::asset::TexturedMesh mesh = tt3d::asset::merge_materials(source);
   tt3d::asset::check_mesh(mesh, path);
 }

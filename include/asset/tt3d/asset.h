@@ -56,11 +56,11 @@ void write_obj(const TexturedMesh& mesh, const std::filesystem::path& path);
 void write_ply(const scene::TriMesh& mesh, const std::filesystem::path& path,
                const std::array<double, 3>& origin = {0, 0, 0});
 
-/// Reads a .glb (Y-up, rotated to +Z up) or an .obj (assumed +Z up), written by tt3d or another
-/// program. Several meshes, nodes and materials become one mesh and one texture. Repeating textures
-/// are tiled. A material without a texture gets one from its colour or the vertex colours. Light,
-/// normals, animation and transparency are ignored. The uvs are in [0,1]. `progress` receives notes
-/// on what was ignored or replaced. Throws InputError with the file and the problem.
+/// Reads a .glb or .gltf (Y-up, rotated to +Z up) or an .obj (assumed +Z up), written by tt3d or
+/// another program. Several meshes, nodes and materials become one mesh and one texture. Repeating
+/// textures are tiled. A material without a texture gets one from its colour or the vertex colours.
+/// Light, normals, animation and transparency are ignored. The uvs are in [0,1]. `progress`
+/// receives notes on what was ignored or replaced. Throws InputError with the file and the problem.
 [[nodiscard]] TexturedMesh load_asset(const std::filesystem::path& path,
                                       Progress* progress = nullptr);
 
