@@ -158,10 +158,15 @@ std::vector<std::array<float, 3>> GltfPrimitive::colours() const {
   std::vector<std::array<float, 3>> colours;
   if (!has("COLOR_0")) return colours;
   const AccessorValues values = attribute("COLOR_0", {"VEC3", "VEC4"});
+  // Integers are fractions of their largest value, also if an exporter forgot to say so.
+  const json& accessor = file_.item("accessors", file_.whole(attributes_, "COLOR_0"));
+  const size_t type = file_.whole(accessor, "componentType");
+  const bool plain = accessor.value("normalized", json()) != json(true);
+  const double largest = plain && type == 5121 ? 255 : plain && type == 5123 ? 65535 : 1;
   colours.resize(count_);
   for (size_t i = 0; i < count_; ++i) {
     for (size_t a = 0; a < 3; ++a) {
-      const double linear = values.values[i * values.width + a];
+      const double linear = values.values[i * values.width + a] / largest;
       colours[i][a] = std::isfinite(linear) ? static_cast<float>(std::clamp(linear, 0.0, 1.0)) : 0;
     }
   }

@@ -86,7 +86,7 @@ fs::path resolve_reference(const fs::path& asset, const std::string& reference) 
                                 "the file next to the asset and use a relative path");
   }
   throw InputError(asset.parent_path() / fs::path(name).lexically_normal(),
-                   "no such file, named by " + asset.string());
+                   "no such file, named by " + asset.string() + "; put it next to that file");
 }
 
 }  // namespace tt3d::asset

@@ -51,7 +51,10 @@ TEST_F(GlbAppearance, OneVertexColourMultipliesTheFactor) {
 TEST_F(GlbAppearance, OneVertexColourMultipliesTheTexture) {
   glb_.use_texture();
   set_colours(glb_.accessor<uint8_t>(std::vector<uint8_t>(16, 255), kByte, "VEC4", true));
-  const TexturedMesh white = load();
+  TexturedMesh white = load();
+  expect_four_colours(white);
+  set_colours(glb_.accessor<uint16_t>(std::vector<uint16_t>(16, 65535), kShort, "VEC4"));
+  white = load();
   expect_four_colours(white);
   EXPECT_EQ(white.texture.size(0), 64);  // the texture itself
   surface()["baseColorFactor"] = {1, 0, 1, 1};
