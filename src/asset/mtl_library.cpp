@@ -61,15 +61,13 @@ MapOptions take_options(Words& words) {
   return options;
 }
 
-/// "Kd r g b", or "Kd r" for grey.
-std::array<float, 3> read_colour(Words& words, const fs::path& path, long line,
-                                 const std::string& key) {
+/// "r g b", or "r" for grey.
+std::optional<std::array<float, 3>> read_colour(Words& words) {
   const auto r = words.number();
-  if (!r) throw InputError(path, line, "expected " + key + " and three numbers");
   const bool grey = without_comment(words.rest()).empty();
   const auto g = grey ? r : words.number(), b = grey ? r : words.number();
-  if (!g || !b) throw InputError(path, line, "expected " + key + " and three numbers");
-  return {static_cast<float>(*r), static_cast<float>(*g), static_cast<float>(*b)};
+  if (!r || !g || !b) return std::nullopt;
+  return std::array{static_cast<float>(*r), static_cast<float>(*g), static_cast<float>(*b)};
 }
 
 /// True for names such as "red #2", which is not "red #1"; "red # of wood" is "red" with a comment.
@@ -99,10 +97,13 @@ MtlLibrary::File MtlLibrary::read_file_of_materials(const fs::path& path) {
       current->name = rest;
       current->file = path;
     }
-    if (current == nullptr) continue;
-    if (key == "kd") current->diffuse = read_colour(words, path, lines.number(), "Kd");
-    if (key == "ke") current->emission = read_colour(words, path, lines.number(), "Ke");
-    if (plain_name(rest).empty()) continue;
+    if (current == nullptr || plain_name(rest).empty()) continue;
+    if (key == "kd") {
+      const auto colour = read_colour(words);
+      if (!colour) throw InputError(path, lines.number(), "expected Kd and three numbers");
+      current->diffuse = *colour;
+    }
+    if (key == "ke") current->emission = read_colour(words).value_or(current->emission);
     if (key == "map_kd") current->diffuse_map = rest;
     if (key == "map_ke") current->emission_map = rest;
   }

@@ -136,7 +136,9 @@ class ObjReader {
     if (found == nullptr && !plain_name(wanted_).empty()) {
       // This names the missing file if there is one.
       if (!library_.missing().empty()) (void)resolve_reference(path_, library_.missing());
-      throw InputError(path_, wanted_line_, "material '" + wanted_ + "' is in no mtllib");
+      throw InputError(
+          path_, wanted_line_,
+          "material '" + wanted_ + "' is in no mtllib; add its MTL file or remove the usemtl");
     }
     const auto [entry, fresh] =
         used_.try_emplace(found, static_cast<int32_t>(source_.materials.size()));
