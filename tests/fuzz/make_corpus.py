@@ -132,7 +132,7 @@ def rich_glb_seed() -> bytes:
         struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0),  # positions, translations
         struct.pack("<12B", *(1, 0, 0, 0) * 3),  # joints, weights
         struct.pack("<9f", 1, 0, 0, 0, 1, 0, 0, 0, 1),  # colours
-        struct.pack("<16f", *(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)),  # a matrix
+        struct.pack("<32f", *(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1) * 2),  # matrices
         struct.pack("<2H3f", 1, 0, 0, 1, 0),  # sparse index and value
         struct.pack("<6H", 0, 1, 1, 0, 1, 1),  # uvs
     ]
@@ -141,7 +141,7 @@ def rich_glb_seed() -> bytes:
         views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(part)})
         binary += part
     kinds = (
-        (0, 5126, 3, "VEC3"), (1, 5121, 3, "VEC4"), (2, 5126, 3, "VEC3"), (3, 5126, 1, "MAT4"),
+        (0, 5126, 3, "VEC3"), (1, 5121, 3, "VEC4"), (2, 5126, 3, "VEC3"), (3, 5126, 2, "MAT4"),
         (5, 5123, 3, "VEC2"),
     )  # fmt: skip
     accessors = [
