@@ -39,6 +39,10 @@ class ObjReader {
     }
     if (source_.faces.empty()) throw InputError(path_, "contains no faces");
     finish_colours();
+    if (lacks_uvs_) {
+      source_.notes.insert(path_.string() +
+                           ": faces without vt have a texture; they get its first colour");
+    }
     return std::move(source_);
   }
 
@@ -128,6 +132,10 @@ class ObjReader {
     }
     face.material = material_;
     source_.faces.push_back(face);
+    const bool has_uvs = face.uvs[0] >= 0 && face.uvs[1] >= 0 && face.uvs[2] >= 0;
+    if (!has_uvs && source_.materials[static_cast<size_t>(material_)].image.defined()) {
+      lacks_uvs_ = true;
+    }
   }
 
   /// Makes the material of the last `usemtl` statement the current one.
@@ -175,6 +183,7 @@ class ObjReader {
   std::string wanted_;  ///< the name in the last `usemtl` statement, and its line
   long wanted_line_ = 0;
   int32_t material_ = -1;
+  bool lacks_uvs_ = false;  ///< a face has a texture, but not its coordinates
 };
 
 }  // namespace

@@ -168,6 +168,12 @@ TEST_F(Mtl, GreyColourAndEmission) {
                 {255, 0, 0});
 }
 
+TEST_F(Mtl, FacesWithoutUvsAreNoted) {
+  write("m.mtl", "newmtl one\nmap_Kd tex.png\n");
+  (void)load("mtllib m.mtl\n" + kSquare + "usemtl one\nf 1 2 3\n");
+  EXPECT_NE(notes_.find("faces without vt have a texture"), std::string::npos) << notes_;
+}
+
 TEST_F(Mtl, UnusedMaterialsNeedNoTexture) {
   write("m.mtl", "newmtl one\nmap_Kd tex.png\nnewmtl two\nmap_Kd not-shipped.png\n");
   const std::string text = "mtllib m.mtl\n" + kSquare + "usemtl two\nusemtl one\n" + kFace;
