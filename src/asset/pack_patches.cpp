@@ -55,11 +55,48 @@ void paste(const Patch& patch, const at::Tensor& texture) {
       .copy_(padded);
 }
 
+/// Keeps the texels along one axis that the faces use, and one more at each side.
+void crop_axis(Patch& patch, size_t axis) {
+  const int64_t dimension = axis == 0 ? 1 : 0;  // u runs along the columns
+  const int64_t size = patch.image.size(dimension);
+  double low = 1, high = 0;
+  for (const auto& corners : patch.uvs) {
+    for (const Uv& uv : corners) {
+      low = std::min(low, uv[axis]);
+      high = std::max(high, uv[axis]);
+    }
+  }
+  const auto texels = static_cast<double>(size);
+  const auto begin =
+      std::clamp<int64_t>(static_cast<int64_t>(std::floor(low * texels)) - 1, 0, size - 1);
+  const auto end =
+      std::clamp<int64_t>(static_cast<int64_t>(std::ceil(high * texels)) + 1, begin + 1, size);
+  patch.image = patch.image.narrow(dimension, begin, end - begin);
+  for (auto& corners : patch.uvs) {
+    for (Uv& uv : corners) {
+      uv[axis] =
+          (uv[axis] * texels - static_cast<double>(begin)) / static_cast<double>(end - begin);
+    }
+  }
+}
+
+bool is_too_large(const std::array<int64_t, 2>& size) {
+  return size[0] > kMaxSide || size[1] > kMaxSide;
+}
+
 }  // namespace
 
 at::Tensor pack_patches(std::vector<Patch>& patches, const std::filesystem::path& asset) {
-  const auto [height, width] = place_patches(patches);
-  if (height > kMaxSide || width > kMaxSide) {
+  std::array<int64_t, 2> size = place_patches(patches);
+  if (is_too_large(size)) {
+    for (Patch& patch : patches) {
+      crop_axis(patch, 0);
+      crop_axis(patch, 1);
+    }
+    size = place_patches(patches);
+  }
+  const auto [height, width] = size;
+  if (is_too_large(size)) {
     throw InputError(asset, "its textures together are larger than " + std::to_string(kMaxSide) +
                                 " texels; shrink them");
   }

@@ -28,7 +28,9 @@ struct Patch {
 [[nodiscard]] std::vector<Patch> draw_colours(const AssetSource& source,
                                               const std::vector<size_t>& faces);
 
-/// Packs the patches on shelves and sets their corners. Returns the merged texture.
+/// Packs the patches on shelves and sets their corners. If they are too large together, the parts
+/// of the pictures that no face uses are cut off. Returns the merged texture; throws InputError if
+/// it is still too large.
 [[nodiscard]] at::Tensor pack_patches(std::vector<Patch>& patches,
                                       const std::filesystem::path& asset);
 
