@@ -37,11 +37,17 @@ json capture_info(const fs::path& path, Progress& progress) {
           {"fov_y_deg", frame.fov_y_deg}};
 }
 
-json asset_info(const fs::path& path) {
-  const asset::TexturedMesh mesh = asset::load_asset(path);
+json asset_info(const fs::path& path, Progress& progress) {
+  const asset::TexturedMesh mesh = asset::load_asset(path, &progress);
   const mesh::MeshFacts facts = mesh::inspect({mesh.vertices, mesh.faces});
-  const auto bound = [](const at::Tensor& t) {
-    return std::vector<float>{t[0].item<float>(), t[1].item<float>(), t[2].item<float>()};
+  const bool moved = mesh.origin != std::array{0.0, 0.0, 0.0};
+  const auto bound = [&](const at::Tensor& t) -> json {
+    if (!moved) return {t[0].item<float>(), t[1].item<float>(), t[2].item<float>()};
+    json world = json::array();
+    for (size_t k = 0; k < 3; ++k) {
+      world.push_back(mesh.origin[k] + t[static_cast<int64_t>(k)].item<double>());
+    }
+    return world;
   };
   return {{"kind", "asset"},
           {"vertices", facts.vertices},
@@ -86,14 +92,14 @@ json info_of(const std::string& text, Progress& progress) {
     return j;
   }
   if (fs::is_directory(path)) return capture_info(path, progress);
-  if (has_extension(path, {".glb", ".obj"})) return asset_info(path);
+  if (has_extension(path, {".glb", ".gltf", ".obj"})) return asset_info(path, progress);
   if (has_extension(path, {".safetensors"})) return tensors_info(path);
   if (has_extension(path, {".pt2"})) return model_info(text);
   if (!fs::exists(path)) throw InputError(path, "no such file or folder");
   if (has_extension(path, {".json", ".bin", ".txt"})) return capture_info(path, progress);
   throw InputError(path,
-                   "expected a capture or its camera file, a run folder, .glb, .obj, .safetensors "
-                   "or .pt2");
+                   "expected a capture or its camera file, a run folder, .glb, .gltf, .obj, "
+                   ".safetensors or .pt2");
 }
 
 void print_json(const json& j, const Common& common) {

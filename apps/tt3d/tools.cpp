@@ -37,7 +37,11 @@ void write_asset(asset::TexturedMesh mesh, const fs::path& out, double size_mm,
                  Progress& progress) {
   const bool glb = has_extension(out, {".glb"});
   if (glb || has_extension(out, {".obj"})) {
-    if (size_mm > 0) mesh.vertices = mesh.vertices * (size_mm / longest_side(mesh));
+    if (size_mm > 0) {
+      const double scale = size_mm / longest_side(mesh);
+      mesh.vertices = mesh.vertices * scale;
+      for (double& coordinate : mesh.origin) coordinate *= scale;
+    }
     glb ? asset::write_glb(mesh, out) : asset::write_obj(mesh, out);
     return;
   }
@@ -45,6 +49,12 @@ void write_asset(asset::TexturedMesh mesh, const fs::path& out, double size_mm,
     throw InputError(out, "expected .glb, .obj, .ply, .3mf or .stl");
   }
   if (!out.parent_path().empty()) make_folder(out.parent_path());
+  if (mesh.origin != std::array{0.0, 0.0, 0.0}) {
+    progress.note(
+        fmt::format("{}: the coordinates are too large for float32; it is written relative "
+                    "to the point ({}, {}, {})",
+                    out.string(), mesh.origin[0], mesh.origin[1], mesh.origin[2]));
+  }
   const ExchangeFolder folder;
   asset::save_mesh_tensors(mesh, folder / "mesh.safetensors");
   (void)run_tool("export_mesh.py",
@@ -63,7 +73,7 @@ struct ExportArguments {
 void add_export(CLI::App& app, Common& common) {
   auto a = std::make_shared<ExportArguments>();
   CLI::App* command = app.add_subcommand("export", "write an asset as GLB, OBJ, PLY, 3MF or STL");
-  command->add_option("ASSET", a->asset, "GLB or OBJ")->required();
+  command->add_option("ASSET", a->asset, "GLB, glTF or OBJ")->required();
   command->add_option("--out", a->out, "FILE.glb, .obj, .ply, .3mf or .stl")->required();
   command->add_option("--size-mm", a->size_mm, "longest side, mm; default: the units of the asset")
       ->check(CLI::PositiveNumber);
@@ -71,7 +81,7 @@ void add_export(CLI::App& app, Common& common) {
   command->callback([a, &common] {
     (void)apply_common(common);
     const auto progress = make_progress(common);
-    write_asset(asset::load_asset(a->asset), a->out, a->size_mm, *progress);
+    write_asset(asset::load_asset(a->asset, progress.get()), a->out, a->size_mm, *progress);
     std::cout << a->out << "\n";
   });
 }
@@ -101,7 +111,7 @@ void print_check(const PrintArguments& a, const Common& common) {
     throw InputError("--flat-base changes the mesh: give an output file with --repair");
   }
   const auto progress = make_progress(common);
-  asset::TexturedMesh mesh = asset::load_asset(a.asset);
+  asset::TexturedMesh mesh = asset::load_asset(a.asset, progress.get());
   const ExchangeFolder folder;
   asset::save_mesh_tensors(mesh, folder / "mesh.safetensors");
   const json job = {{"mesh", (folder / "mesh.safetensors").string()},
@@ -221,7 +231,7 @@ std::vector<std::string> phrases_in(const std::string& text) {
 json write_pictures(const JudgeArguments& a, const Common& common, const ExchangeFolder& folder,
                     Progress& progress) {
   const evaluate::EvaluateOptions& o = a.options;
-  const asset::TexturedMesh mesh = asset::load_asset(o.asset);
+  const asset::TexturedMesh mesh = asset::load_asset(o.asset, &progress);
   const auto views = evaluate::evaluation_views(o.view_distribution, common.seed, o.views, o.size,
                                                 asset::view_frame(mesh, o.asset));
   const evaluate::AssetViews pictures(o.asset, mesh, views, o.renderer, apply_common(common),

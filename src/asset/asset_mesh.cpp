@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "asset_source.h"
-#include "tt3d/image.h"
 
 namespace tt3d::asset {
 namespace fs = std::filesystem;
@@ -54,46 +53,19 @@ void check_mesh(const TexturedMesh& mesh, const fs::path& where) {
   }
 }
 
-TexturedMesh load_asset(const fs::path& path) {
-  std::string extension = path.extension().string();
-  std::transform(extension.begin(), extension.end(), extension.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  if (extension != ".glb" && extension != ".obj") {
-    throw InputError(path, "expected an asset with the extension .glb or .obj");
+TexturedMesh load_asset(const fs::path& path, Progress* progress) {
+  const std::string extension = lower_case(path.extension().string());
+  if (extension != ".glb" && extension != ".gltf" && extension != ".obj") {
+    throw InputError(path, "expected an asset with the extension .glb or .obj or .gltf");
   }
-  TexturedMesh mesh = merge_materials(extension == ".glb" ? read_glb(path) : read_obj(path));
+  const AssetSource source = extension == ".obj" ? read_obj(path) : read_gltf(path);
+  TexturedMesh mesh = merge_materials(source);
   check_mesh(mesh, path);
+  mesh.files.assign(source.files.begin(), source.files.end());
+  for (const std::string& line : source.notes) {
+    if (progress != nullptr) progress->note(line);
+  }
   return mesh;
-}
-
-std::string read_part(const fs::path& path) {
-  std::error_code unknown;
-  const uintmax_t bytes = fs::file_size(path, unknown);
-  if (!unknown && bytes > kMaxPartBytes) {
-    throw InputError(path, "has " + std::to_string(bytes >> 20) + " MiB, over the limit of " +
-                               std::to_string(kMaxPartBytes >> 20) +
-                               "; decimate the mesh or shrink its textures");
-  }
-  return read_file(path);
-}
-
-fs::path resolve_reference(const fs::path& asset, const std::string& reference) {
-  std::string name = reference;
-  std::replace(name.begin(), name.end(), '\\', '/');
-  const fs::path path = fs::path(name).lexically_normal();
-  if (path.empty() || path.is_absolute() || *path.begin() == ".." || name.find(':') != name.npos) {
-    throw InputError(asset, "refers to '" + reference +
-                                "', which leads out of its folder; put "
-                                "the file next to the asset and use a relative path");
-  }
-  fs::path found = asset.parent_path() / path;
-  if (!fs::is_regular_file(found))
-    throw InputError(found, "no such file, named by " + asset.string());
-  return found;
-}
-
-at::Tensor rgb_image(std::string_view bytes, const fs::path& name) {
-  return image::decode_image(bytes, name).narrow(2, 0, 3).contiguous();
 }
 
 }  // namespace tt3d::asset

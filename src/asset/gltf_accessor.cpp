@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <cstring>
+#include <numeric>
 
 #include "gltf_file.h"
 
@@ -59,23 +61,80 @@ double read_component(size_t type, const char* data) {
 
 size_t type_width(const std::string& type) {
   if (type == "SCALAR") return 1;
+  if (type == "MAT4") return 16;
   return type.starts_with("VEC") && type.size() == 4 ? static_cast<size_t>(type[3] - '0') : 0;
 }
 
 }  // namespace
 
 std::string_view GltfFile::view(size_t index, size_t& stride) const {
+  const std::string where = "bufferViews[" + std::to_string(index) + "]";
   const json& view = item("bufferViews", index);
   const size_t buffer = whole(view, "buffer");
   if (buffer >= buffers_.size()) fail("a bufferView names a buffer that does not exist");
+  if (!missing_[buffer].empty()) {
+    fail(where + " is compressed with " + missing_[buffer] +
+         " (meshopt), which tt3d does not read; export without compression");
+  }
   const size_t offset = whole(view, "byteOffset", 0);
   const size_t size = whole(view, "byteLength");
   stride = whole(view, "byteStride", 0);
   const std::string& bytes = buffers_[buffer];
   if (offset > bytes.size() || size > bytes.size() - offset) {
-    fail("bufferViews[" + std::to_string(index) + "] lies outside its buffer");
+    fail(where + " lies outside its buffer");
   }
   return std::string_view(bytes).substr(offset, size);
+}
+
+std::vector<double> GltfFile::elements(const json& place, const Layout& layout) const {
+  const Component part = component(layout.component_type);
+  if (part.size == 0) fail(layout.where + ": has an unknown component type");
+  size_t stride = 0;
+  const std::string_view bytes = view(whole(place, "bufferView"), stride);
+  const size_t offset = whole(place, "byteOffset", 0);
+  const size_t element = part.size * layout.width;
+  if (stride == 0) stride = element;
+  // The last element must end inside the view; the divisions avoid overflow.
+  const bool fits =
+      offset <= bytes.size() && element <= bytes.size() - offset &&
+      (layout.count == 0 || layout.count - 1 <= (bytes.size() - offset - element) / stride);
+  if (!fits) fail(layout.where + ": reaches outside its bufferView");
+  std::vector<double> values;
+  values.reserve(layout.count * layout.width);
+  for (size_t i = 0; i < layout.count; ++i) {
+    for (size_t c = 0; c < layout.width; ++c) {
+      const char* data = bytes.data() + offset + i * stride + c * part.size;
+      const double value = read_component(layout.component_type, data);
+      // A normalised signed integer has two codes for -1.
+      values.push_back(layout.normalized ? std::max(part.scale * value, -1.0) : value);
+    }
+  }
+  return values;
+}
+
+/// Replaces the elements that a sparse accessor lists.
+void GltfFile::apply_sparse(const json& sparse, const Layout& layout,
+                            std::vector<double>& values) const {
+  const json at = sparse.is_object() ? sparse.value("indices", json()) : json();
+  const json with = sparse.is_object() ? sparse.value("values", json()) : json();
+  if (!at.is_object() || !with.is_object()) {
+    fail(layout.where + ": its sparse part needs indices and values");
+  }
+  Layout rows = layout;
+  rows.count = whole(sparse, "count");
+  const std::vector<double> replaced = elements(with, rows);
+  const std::vector<double> where =
+      elements(at, {layout.where, whole(at, "componentType"), 1, rows.count, false});
+  for (size_t i = 0; i < rows.count; ++i) {
+    if (!(where[i] >= 0) || where[i] >= static_cast<double>(layout.count)) {
+      fail(layout.where + ": a sparse index points outside its " + std::to_string(layout.count) +
+           " elements");
+    }
+    const auto row = static_cast<ptrdiff_t>(where[i]),
+               width = std::ssize(replaced) / static_cast<ptrdiff_t>(rows.count);
+    std::copy_n(replaced.begin() + static_cast<ptrdiff_t>(i) * width, width,
+                values.begin() + row * width);
+  }
 }
 
 AccessorValues GltfFile::accessor(size_t index, const std::set<std::string>& types) const {
@@ -85,35 +144,21 @@ AccessorValues GltfFile::accessor(size_t index, const std::set<std::string>& typ
   if (!type.is_string() || !types.contains(type.get<std::string>())) {
     fail(where + ": has the type " + type.dump() + ", expected " + *types.begin());
   }
-  if (accessor.contains("sparse") || !accessor.contains("bufferView")) {
-    fail(where + ": sparse accessors are not supported; export without them");
-  }
-  const size_t component_type = whole(accessor, "componentType");
-  const Component part = component(component_type);
-  if (part.size == 0) fail(where + ": has an unknown component type");
-  AccessorValues result;
-  result.count = whole(accessor, "count");
-  result.width = type_width(type.get<std::string>());
-
-  // The last element must end inside the view; the divisions avoid overflow.
-  size_t stride = 0;
-  const std::string_view bytes = view(whole(accessor, "bufferView"), stride);
-  const size_t offset = whole(accessor, "byteOffset", 0);
-  const size_t element = part.size * result.width;
-  if (stride == 0) stride = element;
-  const bool fits =
-      offset <= bytes.size() && element <= bytes.size() - offset &&
-      (result.count == 0 || result.count - 1 <= (bytes.size() - offset - element) / stride);
-  if (!fits) fail(where + ": reaches outside its bufferView");
   const json normalized = accessor.value("normalized", json(false));
-  const double scale = normalized.is_boolean() && normalized.get<bool>() ? part.scale : 1;
-  result.values.reserve(result.count * result.width);
-  for (size_t i = 0; i < result.count; ++i) {
-    for (size_t c = 0; c < result.width; ++c) {
-      const char* data = bytes.data() + offset + i * stride + c * part.size;
-      result.values.push_back(scale * read_component(component_type, data));
-    }
+  const Layout layout = {where, whole(accessor, "componentType"),
+                         type_width(type.get<std::string>()), whole(accessor, "count"),
+                         normalized.is_boolean() && normalized.get<bool>()};
+  AccessorValues result{layout.count, layout.width, {}};
+  if (accessor.contains("bufferView")) {
+    result.values = elements(accessor, layout);
+  } else {
+    const size_t bytes =
+        std::accumulate(buffers_.begin(), buffers_.end(), size_t{0},
+                        [](size_t sum, const std::string& buffer) { return sum + buffer.size(); });
+    if (layout.count > bytes) fail(where + ": has no bufferView and more elements than the file");
+    result.values.assign(layout.count * layout.width, 0);
   }
+  if (accessor.contains("sparse")) apply_sparse(accessor["sparse"], layout, result.values);
   return result;
 }
 

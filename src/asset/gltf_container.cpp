@@ -12,6 +12,43 @@ constexpr uint32_t kMagic = 0x46546C67;        // "glTF"
 constexpr uint32_t kJsonChunk = 0x4E4F534A;    // "JSON"
 constexpr uint32_t kBinaryChunk = 0x004E4942;  // "BIN"
 
+const std::set<std::string>& read_extensions() {
+  static const std::set<std::string> names = {"KHR_materials_unlit",
+                                              "KHR_texture_transform",
+                                              "KHR_mesh_quantization",
+                                              "KHR_materials_pbrSpecularGlossiness",
+                                              "KHR_materials_emissive_strength",
+                                              "KHR_node_visibility",
+                                              "EXT_mesh_gpu_instancing",
+                                              "EXT_texture_webp"};
+  return names;
+}
+
+/// Extensions that change neither the shape nor the base colour, only what tt3d ignores: light,
+/// reflection, transparency, animation and alternative materials.
+const std::set<std::string>& light_extensions() {
+  static const std::set<std::string> names = {
+      "KHR_lights_punctual",      "KHR_materials_anisotropy", "KHR_materials_clearcoat",
+      "KHR_materials_dispersion", "KHR_materials_ior",        "KHR_materials_iridescence",
+      "KHR_materials_sheen",      "KHR_materials_specular",   "KHR_materials_transmission",
+      "KHR_materials_volume",     "KHR_materials_variants",   "KHR_materials_diffuse_transmission",
+      "KHR_animation_pointer",    "KHR_xmp_json_ld",          "EXT_lights_image_based"};
+  return names;
+}
+
+/// Extensions that users meet, in plain words.
+const std::map<std::string, std::string>& refused_extensions() {
+  static const std::map<std::string, std::string> names = {
+      {"KHR_draco_mesh_compression", "Draco compression"},
+      {"EXT_meshopt_compression", "meshopt compression"},
+      {"KHR_meshopt_compression", "meshopt compression"},
+      {"KHR_texture_basisu", "KTX2 textures"},
+      {"EXT_texture_avif", "AVIF textures"},
+      {"MSFT_texture_dds", "DDS textures"},
+      {"KHR_gaussian_splatting", "Gaussian splats"}};
+  return names;
+}
+
 uint32_t u32_at(const std::string& bytes, size_t offset) {
   uint32_t value = 0;
   std::memcpy(&value, bytes.data() + offset, sizeof value);
@@ -53,26 +90,40 @@ std::string decode_percent(const std::string& uri) {
   return text;
 }
 
+/// The extension whose decoder would fill this buffer, or "".
+std::string meshopt_fallback(const GltfFile& file, const json& buffer) {
+  for (const char* name : {"EXT_meshopt_compression", "KHR_meshopt_compression"}) {
+    if (file.extension(buffer, name) != nullptr) return name;
+  }
+  return "";
+}
+
 }  // namespace
 
 GltfFile::GltfFile(const std::filesystem::path& path) : path_(path) {
-  split_chunks(read_part(path));
-  if (!root_.is_object()) fail("its JSON chunk is not valid JSON");
+  const std::string bytes = read_part(path, files_);
+  const bool is_text = bytes.find_first_of('{') < bytes.find("glTF");
+  is_text ? void(root_ = json::parse(bytes, nullptr, false)) : split_chunks(bytes);
+  if (!root_.is_object()) fail(is_text ? "is not valid JSON" : "its JSON chunk is not valid JSON");
   const auto asset = root_.find("asset");
   if (asset == root_.end() || !asset->is_object() || !asset->value("version", json()).is_string() ||
       !(*asset)["version"].get<std::string>().starts_with("2.")) {
     fail("expected glTF version 2");
   }
-  static const std::set<std::string> known = {"KHR_materials_unlit", "KHR_texture_transform"};
+  check_extensions();
+  load_buffers();
+}
+
+void GltfFile::check_extensions() const {
   const json required = root_.value("extensionsRequired", json::array());
   for (const json& extension : required) {
-    if (!extension.is_string() || !known.contains(extension.get<std::string>())) {
-      fail("needs the extension " + extension.dump() +
-           ", which is not supported; export without "
-           "compression and extensions");
-    }
+    const std::string name = extension.is_string() ? extension.get<std::string>() : "";
+    if (read_extensions().contains(name) || light_extensions().contains(name)) continue;
+    const auto known = refused_extensions().find(name);
+    fail("needs the glTF extension " + (name.empty() ? extension.dump() : name) +
+         (known == refused_extensions().end() ? "" : " (" + known->second + ")") +
+         ", which tt3d does not read; export the asset without it");
   }
-  load_buffers();
 }
 
 void GltfFile::fail(const std::string& what) const { throw InputError(path_, what); }
@@ -105,6 +156,11 @@ void GltfFile::load_buffers() {
     if (!buffer.is_object()) fail("buffers: expected objects");
     const size_t size = whole(buffer, "byteLength");
     const json uri = buffer.value("uri", json());
+    missing_.push_back(uri.is_string() ? "" : meshopt_fallback(*this, buffer));
+    if (!missing_.back().empty()) {
+      buffers_.emplace_back();
+      continue;
+    }
     std::string bytes = uri.is_string() ? uri_bytes(uri.get<std::string>()) : binary_;
     if (!uri.is_string() && !buffers_.empty()) fail("only its first buffer can be the BIN chunk");
     if (size > bytes.size()) fail("is truncated: a buffer is shorter than its byteLength");
@@ -114,7 +170,12 @@ void GltfFile::load_buffers() {
 }
 
 std::string GltfFile::uri_bytes(const std::string& uri) const {
-  if (!uri.starts_with("data:")) return read_part(resolve_reference(path_, decode_percent(uri)));
+  if (!uri.starts_with("data:")) {
+    // Some exporters do not escape the characters of a file name.
+    const auto unescaped = find_reference(path_, uri);
+    return read_part(unescaped ? *unescaped : resolve_reference(path_, decode_percent(uri)),
+                     files_);
+  }
   constexpr std::string_view kMarker = ";base64,";
   const size_t marker = uri.find(kMarker);
   std::string bytes;
@@ -140,6 +201,26 @@ const json& GltfFile::item(const char* name, size_t index) const {
          "], which does not exist");
   }
   return (*array)[index];
+}
+
+std::vector<size_t> GltfFile::indices(const json& object, const char* key) const {
+  std::vector<size_t> result;
+  const json array = object.value(key, json::array());
+  if (!array.is_array()) fail(std::string(key) + ": expected an array");
+  for (const json& value : array) {
+    if (!value.is_number_unsigned()) fail(std::string(key) + ": expected indices");
+    result.push_back(value.get<size_t>());
+  }
+  return result;
+}
+
+const json* GltfFile::extension(const json& object, const char* name) const {
+  const auto all = object.find("extensions");
+  if (all == object.end() || !all->is_object()) return nullptr;
+  const auto found = all->find(name);
+  if (found == all->end()) return nullptr;
+  if (!found->is_object()) fail(std::string(name) + ": expected an object");
+  return &*found;
 }
 
 size_t GltfFile::whole(const json& object, const char* key, int64_t fallback) const {

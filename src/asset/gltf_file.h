@@ -7,7 +7,7 @@
 
 #include "asset_source.h"
 
-/// Reader of binary glTF 2.0: every offset, count and index is checked against the data.
+/// Reader of glTF 2.0, binary or text: every offset, count and index is checked against the data.
 namespace tt3d::asset {
 
 /// The values of an accessor: `count` rows of `width` numbers.
@@ -17,13 +17,15 @@ struct AccessorValues {
   std::vector<double> values;
 };
 
-/// A parsed GLB: its JSON and its buffers.
+/// A parsed glTF file: its JSON and its buffers.
 class GltfFile {
  public:
   explicit GltfFile(const std::filesystem::path& path);
 
   [[nodiscard]] const nlohmann::json& root() const { return root_; }
   [[nodiscard]] const std::filesystem::path& path() const { return path_; }
+  /// The files that were read.
+  [[nodiscard]] const std::set<std::filesystem::path>& files() const { return files_; }
   [[noreturn]] void fail(const std::string& what) const;
 
   /// Element `index` of the top-level array `name`.
@@ -37,23 +39,44 @@ class GltfFile {
   [[nodiscard]] std::array<double, N> numbers(const nlohmann::json& object, const char* key,
                                               const std::array<double, N>& fallback) const;
 
+  /// `object`.`key` as an array of indices; empty if absent.
+  [[nodiscard]] std::vector<size_t> indices(const nlohmann::json& object, const char* key) const;
+  /// `object`.extensions.`name` as an object, or nullptr.
+  [[nodiscard]] const nlohmann::json* extension(const nlohmann::json& object,
+                                                const char* name) const;
+
   /// The bytes of a buffer view; `stride` receives its byteStride (0: packed).
   [[nodiscard]] std::string_view view(size_t index, size_t& stride) const;
   /// The numbers of an accessor whose type is one of `types` ("SCALAR", "VEC3", ...); normalised
-  /// integers are returned as fractions.
+  /// integers are returned as fractions. An accessor without a buffer view is zero, apart from its
+  /// sparse values.
   [[nodiscard]] AccessorValues accessor(size_t index, const std::set<std::string>& types) const;
   /// The bytes of an image: from a buffer view, a data URI or a file next to the asset.
   [[nodiscard]] std::string image_bytes(const nlohmann::json& image) const;
 
  private:
+  /// Elements of one component type, packed or strided in a buffer view.
+  struct Layout {
+    std::string where;  ///< for error messages
+    size_t component_type = 0, width = 0, count = 0;
+    bool normalized = false;
+  };
+  [[nodiscard]] std::vector<double> elements(const nlohmann::json& place,
+                                             const Layout& layout) const;
+  void apply_sparse(const nlohmann::json& sparse, const Layout& layout,
+                    std::vector<double>& values) const;
+  void check_extensions() const;
   void split_chunks(const std::string& bytes);
   void load_buffers();
   [[nodiscard]] std::string uri_bytes(const std::string& uri) const;
 
   std::filesystem::path path_;
+  mutable std::set<std::filesystem::path> files_;
   nlohmann::json root_;
   std::string binary_;
   std::vector<std::string> buffers_;
+  /// For each buffer: the extension without which it has no data; empty: it has data.
+  std::vector<std::string> missing_;
 };
 
 template <size_t N>
@@ -73,16 +96,5 @@ std::array<double, N> GltfFile::numbers(const nlohmann::json& object, const char
   }
   return values;
 }
-
-/// A material with the way it looks up its texture.
-struct GltfMaterial {
-  SourceMaterial material;
-  std::string uv_set = "TEXCOORD_0";
-  /// uv' = transform * (u, v, 1), row-major 2x3 (KHR_texture_transform).
-  std::array<double, 6> transform{1, 0, 0, 0, 1, 0};
-};
-
-/// Material `index` of the file.
-[[nodiscard]] GltfMaterial read_gltf_material(const GltfFile& file, size_t index);
 
 }  // namespace tt3d::asset

@@ -184,14 +184,25 @@ ordered_json describe_mesh(const Interleaved& parts, Buffer& buffer) {
   return {{"name", "object"}, {"primitives", list(primitive)}};
 }
 
-ordered_json describe_scene(const Interleaved& parts, const std::string& png, Buffer& buffer) {
+/// The node of the mesh. The vertices of a mesh far from the world's origin are relative to
+/// `origin`.
+ordered_json describe_node(const std::array<double, 3>& origin) {
+  ordered_json node = {{"mesh", 0}, {"name", "object"}};
+  if (origin != std::array{0.0, 0.0, 0.0}) {
+    node["translation"] = {origin[0], origin[2], -origin[1]};
+  }
+  return node;
+}
+
+ordered_json describe_scene(const Interleaved& parts, const std::array<double, 3>& origin,
+                            const std::string& png, Buffer& buffer) {
   ordered_json root;
   root["asset"]["version"] = "2.0";
   root["asset"]["generator"] = std::string("tt3d ") + kVersion;
   root["extensionsUsed"] = list("KHR_materials_unlit");
   root["scene"] = 0;
   root["scenes"] = list({{"nodes", list(0)}});
-  root["nodes"] = list({{"mesh", 0}, {"name", "object"}});
+  root["nodes"] = list(describe_node(origin));
   root["meshes"] = list(describe_mesh(parts, buffer));
   root["materials"] = list(describe_material());
   root["textures"] = list({{"sampler", 0}, {"source", 0}});
@@ -212,7 +223,8 @@ void write_glb(const TexturedMesh& mesh, const std::filesystem::path& path) {
       interleave(mesh.vertices.cpu().contiguous(), mesh.faces.cpu().contiguous(),
                  mesh.map.uvs.cpu().contiguous(), mesh.map.faces.cpu().contiguous());
   Buffer buffer;
-  const ordered_json root = describe_scene(parts, image::encode_png(mesh.texture), buffer);
+  const ordered_json root =
+      describe_scene(parts, mesh.origin, image::encode_png(mesh.texture), buffer);
   if (buffer.bytes().size() > std::numeric_limits<uint32_t>::max() / 2) {
     throw ResourceError(path.string() + ": the mesh is too large for a GLB file");
   }

@@ -2,9 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <map>
+#include <tuple>
 
-#include "asset_source.h"
+#include "patches.h"
 
 // Several materials become one texture in three steps. First, every material gets a picture, and
 // its faces get uvs within it (repeated textures are tiled, plain and vertex colours are drawn).
@@ -12,29 +13,25 @@
 // changed.
 
 namespace tt3d::asset {
-namespace {
 
-constexpr int64_t kMaxSide = 16384;
-constexpr int kMaxRepeats = 16;      ///< tiles of a repeated texture, along each axis
-constexpr int64_t kColourBlock = 4;  ///< side of a vertex-coloured face's block, in texels
-constexpr int64_t kGutter = 4;       ///< texels around packed pictures that repeat their edge
-
-using Uv = std::array<double, 2>;
-
-/// A picture, and the faces that use it with their uvs in it.
-struct Patch {
-  at::Tensor image;                    ///< [H,W,3] uint8
-  std::vector<size_t> faces;           ///< into AssetSource::faces
-  std::vector<std::array<Uv, 3>> uvs;  ///< one triple per face
-  int64_t x = 0, y = 0;                ///< corner in the merged texture
-};
-
-Uv corner_uv(const AssetSource& source, const SourceFace& face, int k) {
+Uv corner_uv(const AssetSource& source, const SourceFace& face, size_t k) {
   const int32_t index = face.uvs[k];
   if (index < 0) return {0, 0};
   const auto& uv = source.uvs[static_cast<size_t>(index)];
-  return {uv[0], uv[1]};
+  const SourceMaterial& material = source.materials[static_cast<size_t>(face.material)];
+  return {uv[0] * material.uv_scale[0] + material.uv_offset[0],
+          uv[1] * material.uv_scale[1] + material.uv_offset[1]};
 }
+
+bool shows_colours(const AssetSource& source, const SourceFace& face) {
+  const SourceMaterial& material = source.materials[static_cast<size_t>(face.material)];
+  return face.colours[0] >= 0 && (source.linear_colours || !material.image.defined());
+}
+
+namespace {
+
+constexpr int kMaxRepeats = 16;  ///< tiles of a repeated texture, along each axis
+constexpr double kSlack = 1e-4;  ///< rounding in exporters must not add a second tile
 
 at::Tensor plain_image(const std::array<float, 3>& colour) {
   const at::Tensor rgb = at::tensor({colour[0], colour[1], colour[2]}).clamp(0, 1);
@@ -43,7 +40,6 @@ at::Tensor plain_image(const std::array<float, 3>& colour) {
 
 /// Moves the uvs of one axis into [0, tiles] and returns the number of tiles that they span.
 int wrap_axis(Patch& patch, int axis, Wrap wrap, const std::string& where) {
-  constexpr double kSlack = 1e-4;  // rounding in exporters must not add a second tile
   double most = 1;
   bool outside = false;
   for (auto& corners : patch.uvs) {
@@ -89,132 +85,69 @@ void tile_patch(Patch& patch, const SourceMaterial& material, const AssetSource&
   }
 }
 
-bool has_colours(const AssetSource& source, const SourceFace& face) {
-  if (source.colours.empty()) return false;
-  return std::all_of(face.vertices.begin(), face.vertices.end(),
-                     [&](int32_t v) { return source.colours[static_cast<size_t>(v)][0] >= 0; });
+/// Names a picture and the way it continues outside [0,1] along each axis.
+using PictureKey = std::tuple<const void*, Wrap, Wrap>;
+
+/// The wrap of a picture along one axis; kClamp if no uv lies outside, so that it does not matter.
+Wrap needed_wrap(const std::vector<std::array<Uv, 3>>& uvs, size_t axis, Wrap wrap) {
+  const bool inside = std::all_of(uvs.begin(), uvs.end(), [&](const std::array<Uv, 3>& corners) {
+    return std::all_of(corners.begin(), corners.end(),
+                       [&](const Uv& uv) { return uv[axis] >= -kSlack && uv[axis] <= 1 + kSlack; });
+  });
+  return inside ? Wrap::kClamp : wrap;
 }
 
-/// Draws one vertex-coloured face into its block. The corners lie on texel centres, and the texels
-/// beyond the diagonal continue the gradient, so that bilinear look-ups return exactly the
-/// interpolated colours.
-void draw_block(const AssetSource& source, const SourceFace& face, uint8_t* out, int64_t pitch) {
-  constexpr auto kSteps = static_cast<float>(kColourBlock - 1);
-  const auto colour = [&](int k) { return source.colours[static_cast<size_t>(face.vertices[k])]; };
-  for (int64_t row = 0; row < kColourBlock; ++row) {
-    for (int64_t column = 0; column < kColourBlock; ++column) {
-      const float b = static_cast<float>(column) / kSteps;
-      const float c = static_cast<float>(row) / kSteps;
-      for (int a = 0; a < 3; ++a) {
-        const float value = (1 - b - c) * colour(0)[a] + b * colour(1)[a] + c * colour(2)[a];
-        out[row * pitch + 3 * column + a] =
-            static_cast<uint8_t>(std::lround(std::clamp(value, 0.F, 1.F) * 255.F));
+/// One patch per picture and per plain colour in use. `by_material`: the faces of each material.
+std::vector<Patch> material_patches(const AssetSource& source, std::vector<Patch> by_material) {
+  std::vector<Patch> patches;
+  std::vector<SourceMaterial> used;
+  std::map<PictureKey, size_t> known;
+  for (size_t m = 0; m < by_material.size(); ++m) {
+    Patch& patch = by_material[m];
+    if (patch.faces.empty()) continue;
+    SourceMaterial material = source.materials[m];
+    if (material.image.defined()) {
+      material.wrap_u = needed_wrap(patch.uvs, 0, material.wrap_u);
+      material.wrap_v = needed_wrap(patch.uvs, 1, material.wrap_v);
+      const PictureKey key = {material.image.const_data_ptr(), material.wrap_u, material.wrap_v};
+      const auto [entry, fresh] = known.try_emplace(key, patches.size());
+      if (!fresh) {
+        Patch& same = patches[entry->second];
+        same.faces.insert(same.faces.end(), patch.faces.begin(), patch.faces.end());
+        same.uvs.insert(same.uvs.end(), patch.uvs.begin(), patch.uvs.end());
+        continue;
       }
+      patch.image = material.image;
+    } else {
+      patch.image = plain_image(material.colour);
+      for (auto& corners : patch.uvs) corners.fill({0.5, 0.5});
     }
+    patches.push_back(std::move(patch));
+    used.push_back(std::move(material));
   }
+  for (size_t i = 0; i < patches.size(); ++i) tile_patch(patches[i], used[i], source);
+  return patches;
 }
 
-/// A picture with a block for each vertex-coloured face.
-Patch colour_patch(const AssetSource& source, const std::vector<size_t>& faces) {
-  Patch patch;
-  patch.faces = faces;
-  const auto count = static_cast<int64_t>(faces.size());
-  const auto columns = static_cast<int64_t>(std::ceil(std::sqrt(static_cast<double>(count))));
-  const int64_t rows = (count + columns - 1) / columns;
-  const int64_t width = columns * kColourBlock, height = rows * kColourBlock;
-  if (width > kMaxSide) {
-    throw InputError(source.path,
-                     "has too many vertex-coloured faces; bake the colours to a "
-                     "texture");
-  }
-  patch.image = at::zeros({height, width, 3}, at::kByte);
-  uint8_t* pixels = patch.image.data_ptr<uint8_t>();
-  for (int64_t i = 0; i < count; ++i) {
-    const int64_t x = i % columns * kColourBlock, y = i / columns * kColourBlock;
-    draw_block(source, source.faces[faces[static_cast<size_t>(i)]], pixels + 3 * (y * width + x),
-               3 * width);
-    const auto at = [&](int64_t dx, int64_t dy) {
-      return Uv{(static_cast<double>(x + dx) + 0.5) / static_cast<double>(width),
-                (static_cast<double>(y + dy) + 0.5) / static_cast<double>(height)};
-    };
-    patch.uvs.push_back({at(0, 0), at(kColourBlock - 1, 0), at(0, kColourBlock - 1)});
-  }
-  return patch;
-}
-
-/// One patch per material in use, and one for all vertex-coloured faces.
+/// The patches of all faces.
 std::vector<Patch> make_patches(const AssetSource& source) {
   std::vector<Patch> by_material(source.materials.size());
   std::vector<size_t> coloured;
   for (size_t i = 0; i < source.faces.size(); ++i) {
     const SourceFace& face = source.faces[i];
-    const auto material = static_cast<size_t>(face.material);
-    if (!source.materials[material].image.defined() && has_colours(source, face)) {
+    if (shows_colours(source, face)) {
       coloured.push_back(i);
       continue;
     }
-    Patch& patch = by_material[material];
+    Patch& patch = by_material[static_cast<size_t>(face.material)];
     patch.faces.push_back(i);
     patch.uvs.push_back(
         {corner_uv(source, face, 0), corner_uv(source, face, 1), corner_uv(source, face, 2)});
   }
-  std::vector<Patch> patches;
-  for (size_t m = 0; m < by_material.size(); ++m) {
-    if (by_material[m].faces.empty()) continue;
-    const SourceMaterial& material = source.materials[m];
-    Patch& patch = patches.emplace_back(std::move(by_material[m]));
-    patch.image = material.image.defined() ? material.image : plain_image(material.colour);
-    if (!material.image.defined()) {
-      for (auto& corners : patch.uvs) corners.fill({0.5, 0.5});
-    }
-    tile_patch(patch, material, source);
-  }
-  if (!coloured.empty()) patches.push_back(colour_patch(source, coloured));
+  std::vector<Patch> patches = material_patches(source, std::move(by_material));
+  if (coloured.empty()) return patches;
+  for (Patch& patch : draw_colours(source, coloured)) patches.push_back(std::move(patch));
   return patches;
-}
-
-/// Places the pictures on shelves, tallest first; returns the total height and width.
-std::array<int64_t, 2> place_patches(std::vector<Patch>& patches) {
-  std::vector<size_t> order(patches.size());
-  std::iota(order.begin(), order.end(), size_t{0});
-  std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) {
-    return patches[a].image.size(0) > patches[b].image.size(0);
-  });
-  int64_t width = 0;
-  double area = 0;
-  for (const Patch& patch : patches) {
-    const int64_t w = patch.image.size(1) + 2 * kGutter;
-    width = std::max(width, w);
-    area += static_cast<double>(w * (patch.image.size(0) + 2 * kGutter));
-  }
-  width = std::max(width, static_cast<int64_t>(std::ceil(std::sqrt(area))));
-  int64_t x = 0, y = 0, shelf = 0;
-  for (const size_t i : order) {
-    const int64_t w = patches[i].image.size(1) + 2 * kGutter;
-    if (x + w > width) {
-      x = 0;
-      y += shelf;
-      shelf = 0;
-    }
-    patches[i].x = x + kGutter;
-    patches[i].y = y + kGutter;
-    x += w;
-    shelf = std::max(shelf, patches[i].image.size(0) + 2 * kGutter);
-  }
-  return {y + shelf, width};
-}
-
-/// Copies a picture and repeats its edge in the gutter.
-void paste(const Patch& patch, const at::Tensor& texture) {
-  const auto indices = [](int64_t size) {
-    return at::arange(-kGutter, size + kGutter, at::kLong).clamp(0, size - 1);
-  };
-  const int64_t height = patch.image.size(0), width = patch.image.size(1);
-  const at::Tensor padded =
-      patch.image.index_select(0, indices(height)).index_select(1, indices(width));
-  texture.narrow(0, patch.y - kGutter, height + 2 * kGutter)
-      .narrow(1, patch.x - kGutter, width + 2 * kGutter)
-      .copy_(padded);
 }
 
 template <typename T, size_t N, typename Source>
@@ -233,24 +166,25 @@ bool is_simple(const AssetSource& source) {
   const bool inside = std::all_of(source.uvs.begin(), source.uvs.end(), [](const auto& uv) {
     return uv[0] >= 0 && uv[0] <= 1 && uv[1] >= 0 && uv[1] <= 1;
   });
+  const auto material_of = [&](const SourceFace& face) -> const SourceMaterial& {
+    return source.materials[static_cast<size_t>(face.material)];
+  };
+  const at::Tensor& first = material_of(source.faces[0]).image;
   return inside && std::all_of(source.faces.begin(), source.faces.end(), [&](const auto& face) {
-           return face.material == source.faces[0].material && face.uvs[0] >= 0 &&
-                  face.uvs[1] >= 0 && face.uvs[2] >= 0 &&
-                  source.materials[static_cast<size_t>(face.material)].image.defined();
+           const SourceMaterial& material = material_of(face);
+           return material.image.defined() && material.image.is_same(first) &&
+                  material.uv_scale == std::array{1.0, 1.0} &&
+                  material.uv_offset == std::array{0.0, 0.0} && !shows_colours(source, face) &&
+                  face.uvs[0] >= 0 && face.uvs[1] >= 0 && face.uvs[2] >= 0;
          });
 }
 
 void merge_patches(const AssetSource& source, TexturedMesh& mesh) {
   std::vector<Patch> patches = make_patches(source);
-  const auto [height, width] = place_patches(patches);
-  if (height > kMaxSide || width > kMaxSide) {
-    throw InputError(source.path, "its textures together are larger than " +
-                                      std::to_string(kMaxSide) + " texels; shrink them");
-  }
-  mesh.texture = at::zeros({height, width, 3}, at::kByte);
+  mesh.texture = pack_patches(patches, source.path);
+  const int64_t height = mesh.texture.size(0), width = mesh.texture.size(1);
   std::vector<std::array<double, 2>> uvs(3 * source.faces.size());
   for (const Patch& patch : patches) {
-    paste(patch, mesh.texture);
     const auto patch_width = static_cast<double>(patch.image.size(1));
     const auto patch_height = static_cast<double>(patch.image.size(0));
     for (size_t i = 0; i < patch.faces.size(); ++i) {
@@ -271,18 +205,15 @@ void merge_patches(const AssetSource& source, TexturedMesh& mesh) {
 TexturedMesh merge_materials(const AssetSource& source) {
   if (source.faces.empty()) throw InputError(source.path, "contains no triangles");
   TexturedMesh mesh;
-  mesh.vertices = to_tensor<float>(source.positions, at::kFloat);
-  std::vector<std::array<int32_t, 3>> faces, uv_faces;
-  for (const SourceFace& face : source.faces) {
-    faces.push_back(face.vertices);
-    uv_faces.push_back(face.uvs);
-  }
-  mesh.faces = to_tensor<int32_t>(faces, at::kInt);
+  place_vertices(source, mesh);
   if (!is_simple(source)) {
     merge_patches(source, mesh);
     return mesh;
   }
   mesh.map.uvs = to_tensor<float>(source.uvs, at::kFloat);
+  std::vector<std::array<int32_t, 3>> uv_faces;
+  uv_faces.reserve(source.faces.size());
+  for (const SourceFace& face : source.faces) uv_faces.push_back(face.uvs);
   mesh.map.faces = to_tensor<int32_t>(uv_faces, at::kInt);
   mesh.texture = source.materials[static_cast<size_t>(source.faces[0].material)].image;
   return mesh;

@@ -1,12 +1,12 @@
 #include <charconv>
 #include <cmath>
-#include <map>
-#include <optional>
+#include <limits>
 
-#include "asset_source.h"
+#include "mtl_library.h"
+#include "obj_text.h"
 
-// OBJ and MTL: http://paulbourke.net/dataformats/obj/ and /mtl/. Only triangles, uvs and colours
-// are read; normals, groups, curves and smoothing are skipped.
+// OBJ: http://paulbourke.net/dataformats/obj/. Only polygons, uvs and colours are read; normals,
+// groups, curves and smoothing are skipped.
 
 namespace tt3d::asset {
 namespace fs = std::filesystem;
@@ -15,115 +15,34 @@ namespace {
 
 constexpr size_t kMaxElements = size_t{1} << 28;
 
-/// Iterates over the words of one line.
-class Words {
- public:
-  explicit Words(std::string_view line) : rest_(line) {}
-  /// The next word, empty at the end.
-  std::string_view next() {
-    skip_blanks();
-    const size_t end = std::min(rest_.find_first_of(" \t"), rest_.size());
-    const std::string_view word = rest_.substr(0, end);
-    rest_.remove_prefix(end);
-    return word;
-  }
-  /// The remaining text, without blanks at either end.
-  std::string_view rest() {
-    skip_blanks();
-    return rest_.substr(0, rest_.find_last_not_of(" \t") + 1);
-  }
-  std::optional<float> number() {
-    const std::string_view word = next();
-    float value = 0;
-    const char* start = word.data() + (word.starts_with('+') ? 1 : 0);
-    const auto result = std::from_chars(start, word.data() + word.size(), value);
-    const bool whole = !word.empty() && result.ptr == word.data() + word.size();
-    return whole && result.ec == std::errc() ? std::optional(value) : std::nullopt;
-  }
-
- private:
-  void skip_blanks() {
-    rest_.remove_prefix(std::min(rest_.find_first_not_of(" \t"), rest_.size()));
-  }
-  std::string_view rest_;
-};
-
-/// Iterates over the lines of a text; joins lines that end in a backslash.
-class Lines {
- public:
-  explicit Lines(std::string_view text) : rest_(text) {}
-  bool next(std::string& line) {
-    line.clear();
-    if (rest_.empty()) return false;
-    bool more = true;
-    while (more && !rest_.empty()) {
-      const size_t end = std::min(rest_.find('\n'), rest_.size());
-      line += rest_.substr(0, end);
-      rest_.remove_prefix(std::min(end + 1, rest_.size()));
-      ++number_;
-      if (line.ends_with('\r')) line.pop_back();
-      more = line.ends_with('\\');
-      if (more) line.back() = ' ';
-    }
-    return true;
-  }
-  [[nodiscard]] long number() const { return number_; }
-
- private:
-  std::string_view rest_;
-  long number_ = 0;
-};
-
-/// The file name in a map statement, after options such as "-s 1 1 1" or "-bm 0.3".
-std::string map_name(std::string_view arguments) {
-  std::string text(arguments);
-  if (!text.starts_with('-')) return text;
-  return text.substr(text.find_last_of(" \t") + 1);
-}
-
-void read_mtl(const fs::path& path, std::map<std::string, SourceMaterial>& materials) {
-  const std::string text = read_part(path);
-  Lines lines(text);
-  SourceMaterial* current = nullptr;
-  for (std::string line; lines.next(line);) {
-    Words words(line);
-    const std::string_view key = words.next();
-    if (key == "newmtl") {
-      const std::string name(words.rest());
-      current = &(materials[name] = SourceMaterial{});
-      current->name = name;
-    } else if (current != nullptr && key == "Kd") {
-      for (float& channel : current->colour) {
-        const auto value = words.number();
-        if (!value || !std::isfinite(*value)) {
-          throw InputError(path, lines.number(), "expected Kd and three numbers");
-        }
-        channel = *value;
-      }
-    } else if (current != nullptr && key == "map_Kd") {
-      const fs::path image = resolve_reference(path, map_name(words.rest()));
-      current->image = rgb_image(read_part(image), image);
-    }
-  }
-}
-
 class ObjReader {
  public:
-  explicit ObjReader(const fs::path& path) : path_(path), text_(read_part(path)), lines_(text_) {
+  explicit ObjReader(const fs::path& path)
+      : path_(path), text_(read_part(path, source_.files)), lines_(text_), library_(path, source_) {
     source_.path = path;
+    if (is_utf16(text_)) throw InputError(path, "is UTF-16 text; save it as UTF-8");
   }
 
   AssetSource read() {
     for (std::string line; lines_.next(line);) {
       Words words(line);
-      const std::string_view key = words.next();
+      const std::string key = words.keyword();
       if (key == "v") read_vertex(words);
       if (key == "vt") read_uv(words);
-      if (key == "f") read_face(words);
-      if (key == "usemtl") use_material(std::string(words.rest()));
-      if (key == "mtllib") read_mtl(resolve_reference(path_, std::string(words.rest())), library_);
+      if (key == "f" || key == "fo") read_face(words);
+      if (key == "mtllib") library_.add(words.rest());
+      if (key == "usemtl") {
+        wanted_ = words.rest();
+        wanted_line_ = lines_.number();
+        material_ = -1;
+      }
     }
     if (source_.faces.empty()) throw InputError(path_, "contains no faces");
+    finish_colours();
+    if (lacks_uvs_) {
+      source_.notes.insert(path_.string() +
+                           ": faces without vt have a texture; they get its first colour");
+    }
     return std::move(source_);
   }
 
@@ -134,24 +53,34 @@ class ObjReader {
 
   /// "v x y z", optionally followed by a weight or a colour.
   void read_vertex(Words& words) {
-    std::array<float, 3> position{};
-    for (float& p : position) {
+    std::array<double, 3> position{};
+    for (double& p : position) {
       const auto value = words.number();
-      if (!value || !std::isfinite(*value)) fail("v and three finite numbers");
+      if (!value || std::abs(*value) > std::numeric_limits<float>::max()) {
+        fail("v and three finite numbers");
+      }
       p = *value;
     }
-    std::array<float, 3> colour{-1, -1, -1};
     const auto r = words.number(), g = words.number(), b = words.number();
-    if (r && g && b) colour = {*r, *g, *b};
+    if (r && g && b) {
+      // Vertices before the first coloured one have no colour.
+      source_.colours.resize(source_.positions.size(), {-1, -1, -1});
+      source_.colours.push_back(
+          {static_cast<float>(*r), static_cast<float>(*g), static_cast<float>(*b)});
+    } else if (!source_.colours.empty()) {
+      source_.colours.push_back({-1, -1, -1});
+    }
     source_.positions.push_back(position);
-    source_.colours.push_back(colour);
     if (source_.positions.size() > kMaxElements) fail("fewer vertices");
   }
 
   void read_uv(Words& words) {
-    const auto u = words.number(), v = words.number();
-    if (!u || !std::isfinite(*u) || (v && !std::isfinite(*v))) fail("vt and two finite numbers");
-    source_.uvs.push_back({*u, 1 - v.value_or(0)});
+    const auto u = words.number();
+    const bool only_u = without_comment(words.rest()).empty();
+    const auto v = only_u ? std::optional(0.0) : words.number();
+    constexpr double kMost = std::numeric_limits<float>::max();
+    if (!u || !v || std::abs(*u) > kMost || std::abs(*v) > kMost) fail("vt and two finite numbers");
+    source_.uvs.push_back({static_cast<float>(*u), 1 - static_cast<float>(*v)});
   }
 
   /// Converts an index that counts from 1 (negative: from the end) to one that counts from 0.
@@ -167,10 +96,10 @@ class ObjReader {
     return static_cast<int32_t>(value - 1);
   }
 
-  /// Splits polygons into fans around their first corner.
   void read_face(Words& words) {
     std::vector<std::array<int32_t, 2>> corners;
     for (std::string_view word = words.next(); !word.empty(); word = words.next()) {
+      if (word.starts_with('#')) break;
       const size_t slash = std::min(word.find('/'), word.size());
       std::array<int32_t, 2> corner = {read_index(word.substr(0, slash), source_.positions.size()),
                                        -1};
@@ -180,34 +109,81 @@ class ObjReader {
       corners.push_back(corner);
     }
     if (corners.size() < 3) fail("at least three corners in the face");
-    if (material_ < 0) use_material("");
-    for (size_t i = 2; i < corners.size(); ++i) {
-      SourceFace face;
-      face.vertices = {corners[0][0], corners[i - 1][0], corners[i][0]};
-      face.uvs = {corners[0][1], corners[i - 1][1], corners[i][1]};
-      face.material = material_;
-      source_.faces.push_back(face);
+    if (material_ < 0) use_material();
+    if (corners.size() == 3) return add_triangle(corners, {0, 1, 2});
+    std::vector<std::array<double, 3>> points;
+    for (const auto& [vertex, uv] : corners) {
+      points.push_back(source_.positions[static_cast<size_t>(vertex)]);
+    }
+    const auto triangles = triangulate(points);
+    if (!triangles) {
+      fail("a concave face of at most " + std::to_string(kMaxConcaveCorners) +
+           " corners; split the face into triangles");
+    }
+    for (const auto& triangle : *triangles) add_triangle(corners, triangle);
+  }
+
+  void add_triangle(const std::vector<std::array<int32_t, 2>>& corners,
+                    const std::array<size_t, 3>& triangle) {
+    SourceFace face;
+    for (size_t k = 0; k < 3; ++k) {
+      face.vertices[k] = corners[triangle[k]][0];
+      face.uvs[k] = corners[triangle[k]][1];
+    }
+    face.material = material_;
+    source_.faces.push_back(face);
+    const bool has_uvs = face.uvs[0] >= 0 && face.uvs[1] >= 0 && face.uvs[2] >= 0;
+    if (!has_uvs && source_.materials[static_cast<size_t>(material_)].image.defined()) {
+      lacks_uvs_ = true;
     }
   }
 
-  void use_material(const std::string& name) {
-    const auto [entry, fresh] = used_.try_emplace(name, std::ssize(source_.materials));
-    material_ = entry->second;
-    if (!fresh) return;
-    const auto found = library_.find(name);
-    if (found == library_.end() && !name.empty()) {
-      throw InputError(path_, lines_.number(), "material '" + name + "' is in no mtllib");
+  /// Makes the material of the last `usemtl` statement the current one.
+  void use_material() {
+    const MtlMaterial* found = wanted_.empty() ? nullptr : library_.find(wanted_);
+    if (found == nullptr && !plain_name(wanted_).empty()) {
+      // This names the missing file if there is one.
+      if (!library_.missing().empty()) (void)resolve_reference(path_, library_.missing());
+      throw InputError(
+          path_, wanted_line_,
+          "material '" + wanted_ + "' is in no mtllib; add its MTL file or remove the usemtl");
     }
-    source_.materials.push_back(found == library_.end() ? SourceMaterial{} : found->second);
+    const auto [entry, fresh] =
+        used_.try_emplace(found, static_cast<int32_t>(source_.materials.size()));
+    material_ = entry->second;
+    if (fresh) source_.materials.push_back(found ? library_.load(*found) : SourceMaterial{});
+  }
+
+  /// Gives the faces their colours. Some programs write colours from 0 to 255.
+  void finish_colours() {
+    if (source_.colours.empty()) return;
+    float most = 0;
+    for (const auto& colour : source_.colours) {
+      most = std::max({most, colour[0], colour[1], colour[2]});
+    }
+    if (most > 2) {
+      for (auto& colour : source_.colours) {
+        for (float& channel : colour) channel /= 255.F;
+      }
+    }
+    for (SourceFace& face : source_.faces) {
+      const bool coloured = std::all_of(face.vertices.begin(), face.vertices.end(), [&](int32_t v) {
+        return source_.colours[static_cast<size_t>(v)][0] >= 0;
+      });
+      if (coloured) face.colours = face.vertices;
+    }
   }
 
   fs::path path_;
   std::string text_;
   Lines lines_;
   AssetSource source_;
-  std::map<std::string, SourceMaterial> library_;
-  std::map<std::string, int32_t> used_;
+  MtlLibrary library_;
+  std::map<const MtlMaterial*, int32_t> used_;
+  std::string wanted_;  ///< the name in the last `usemtl` statement, and its line
+  long wanted_line_ = 0;
   int32_t material_ = -1;
+  bool lacks_uvs_ = false;  ///< a face has a texture, but not its coordinates
 };
 
 }  // namespace

@@ -18,13 +18,19 @@ void append_number(std::string& text, T value) {
   text.append(digits, result.ptr);
 }
 
-void append_vertices(std::string& text, const at::Tensor& vertices) {
+void append_vertices(std::string& text, const at::Tensor& vertices,
+                     const std::array<double, 3>& origin) {
+  const bool moved = origin != std::array{0.0, 0.0, 0.0};
   const float* v = vertices.const_data_ptr<float>();
   for (int64_t i = 0; i < vertices.size(0); ++i, v += 3) {
     text += 'v';
-    for (int a = 0; a < 3; ++a) {
+    for (size_t a = 0; a < 3; ++a) {
       text += ' ';
-      append_number(text, v[a]);
+      if (moved) {
+        append_number(text, origin[a] + double{v[a]});
+      } else {
+        append_number(text, v[a]);
+      }
     }
     text += '\n';
   }
@@ -65,7 +71,7 @@ void write_obj(const TexturedMesh& mesh, const std::filesystem::path& path) {
   std::string text = "# tt3d ";
   text += kVersion;
   text += ", +Z up\nmtllib " + material.filename().string() + "\n";
-  append_vertices(text, mesh.vertices.cpu().contiguous());
+  append_vertices(text, mesh.vertices.cpu().contiguous(), mesh.origin);
   append_uvs(text, mesh.map.uvs.cpu().contiguous());
   text += "usemtl baked\n";
   append_faces(text, mesh.faces.cpu().contiguous(), mesh.map.faces.cpu().contiguous());

@@ -5,11 +5,17 @@
 
 namespace tt3d::asset {
 
-void write_ply(const scene::TriMesh& mesh, const std::filesystem::path& path) {
-  const at::Tensor vertices = mesh.vertices.cpu().contiguous();
+void write_ply(const scene::TriMesh& mesh, const std::filesystem::path& path,
+               const std::array<double, 3>& origin) {
+  at::Tensor vertices = mesh.vertices.cpu().contiguous();
+  std::string type = "float";
+  if (origin != std::array{0.0, 0.0, 0.0}) {
+    type = "double";
+    vertices = vertices + at::tensor({origin[0], origin[1], origin[2]}, at::kDouble);
+  }
   std::string bytes =
       "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(vertices.size(0)) +
-      "\nproperty float x\nproperty float y\nproperty float z\nelement face " +
+      "\nproperty " + type + " x\nproperty " + type + " y\nproperty " + type + " z\nelement face " +
       std::to_string(mesh.faces.size(0)) + "\nproperty list uchar int vertex_indices\nend_header\n";
   bytes.append(static_cast<const char*>(vertices.const_data_ptr()), vertices.nbytes());
   const at::Tensor faces = mesh.faces.cpu().contiguous();

@@ -29,10 +29,20 @@ scene::ViewFrame frame_from_bounds(const TexturedMesh& asset) {
 
 }  // namespace
 
-const TexturedMesh& AssetFiles::load(const std::filesystem::path& path) {
+const TexturedMesh& AssetFiles::load(const std::filesystem::path& path, Progress* progress) {
   const auto found = loaded_.find(path);
   if (found != loaded_.end()) return found->second;
-  return loaded_.emplace(path, load_asset(path)).first->second;
+  TexturedMesh mesh = load_asset(path, progress);
+  if (!origin_) origin_ = mesh.origin;
+  if (mesh.origin != *origin_) {
+    const Tensor shift = at::empty({3}, at::kDouble);
+    for (size_t k = 0; k < 3; ++k) {
+      shift[static_cast<int64_t>(k)] = mesh.origin[k] - (*origin_)[k];
+    }
+    mesh.vertices = (mesh.vertices.to(at::kDouble) + shift).to(at::kFloat);
+    mesh.origin = *origin_;
+  }
+  return loaded_.emplace(path, std::move(mesh)).first->second;
 }
 
 scene::ViewFrame view_frame(const TexturedMesh& asset, const std::filesystem::path& asset_path) {
@@ -42,6 +52,7 @@ scene::ViewFrame view_frame(const TexturedMesh& asset, const std::filesystem::pa
   const JsonValue value(document, path);
   scene::ViewFrame frame;
   frame.centre = value.at("centre").as<std::array<double, 3>>();
+  for (size_t k = 0; k < 3; ++k) frame.centre[k] -= asset.origin[k];
   frame.radius = value.at("radius").as<double>();
   frame.distance = value.at("distance").as<double>();
   frame.fov_y_deg = value.at("fov_y_deg").as<double>();

@@ -37,11 +37,15 @@ scene::Camera enlarged(scene::Camera camera, int factor) {
 /// The file that the renderer reads.
 fs::path file_for(RendererName renderer, const fs::path& path, const asset::TexturedMesh& asset,
                   const ExchangeFolder& folder) {
+  const bool moved = asset.origin != std::array{0.0, 0.0, 0.0};  // the cameras are relative to it
+  const bool gltf = has_extension(path, {".gltf"});
+  if (renderer == RendererName::kBlender && !moved && !gltf) return fs::absolute(path);
   const bool obj = has_extension(path, {".obj"});
-  if (renderer == RendererName::kBlender) return fs::absolute(path);
-  if (obj && read_file(path).starts_with("# tt3d ")) return fs::absolute(path);
+  if (obj && !moved && read_file(path).starts_with("# tt3d ")) return fs::absolute(path);
   fs::create_directories(folder / "asset");
-  asset::write_obj(asset, folder / "asset/object.obj");
+  asset::TexturedMesh placed = asset;
+  placed.origin = {0, 0, 0};
+  asset::write_obj(placed, folder / "asset/object.obj");
   return folder / "asset/object.obj";
 }
 

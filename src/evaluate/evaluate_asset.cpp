@@ -103,7 +103,7 @@ class Pictures {
         adversarial_(options.asset, assets.load(options.asset), views, options.renderer,
                      options.device, progress) {
     if (options.clean.empty()) return;
-    clean_.emplace(options.clean, assets.load(options.clean), views, options.renderer,
+    clean_.emplace(options.clean, assets.load(options.clean, &progress), views, options.renderer,
                    options.device, progress);
     comparison_ = std::make_unique<PictureComparison>(options, assets.load(options.asset));
   }
@@ -183,7 +183,7 @@ record::EvaluationRecord evaluate_asset(const EvaluateOptions& options, asset::A
   at::NoGradGuard guard;
   const double start = now_seconds();
   check_options(options);
-  const asset::TexturedMesh& asset = assets.load(options.asset);
+  const asset::TexturedMesh& asset = assets.load(options.asset, &progress);
   const std::vector<LoadedVictim> victims = load_victims(options, progress);
   record::EvaluationRecord record = begin_record(options, victims);
   const auto views = evaluation_views(options.view_distribution, options.seed, options.views,

@@ -20,11 +20,16 @@ Tensor straight(const Tensor& premultiplied) {
   return image::to_uint8(at::cat({rgba.narrow(2, 0, 3) / alpha.clamp_min(1e-6), alpha}, 2));
 }
 
-json frame_json(const scene::SampledView& view, const std::string& file) {
+/// `origin` is that of the asset, to which the camera is relative.
+json frame_json(const scene::SampledView& view, const std::array<double, 3>& origin,
+                const std::string& file) {
   json matrix = json::array();
-  for (int row = 0; row < 4; ++row) {
+  for (size_t row = 0; row < 4; ++row) {
     json line = json::array();
-    for (int k = 0; k < 4; ++k) line.push_back(view.camera.camera_to_world[4 * row + k]);
+    for (size_t k = 0; k < 4; ++k) {
+      const double moved = row < 3 && k == 3 ? origin[row] : 0;
+      line.push_back(view.camera.camera_to_world[4 * row + k] + moved);
+    }
     matrix.push_back(line);
   }
   return {{"file_path", file},
@@ -39,7 +44,7 @@ json frame_json(const scene::SampledView& view, const std::string& file) {
 
 void render_to_folder(const EvaluateOptions& o, const std::filesystem::path& out,
                       Progress& progress) {
-  const asset::TexturedMesh asset = asset::load_asset(o.asset);
+  const asset::TexturedMesh asset = asset::load_asset(o.asset, &progress);
   const auto views = evaluation_views(o.view_distribution, o.seed, o.views, o.size,
                                       asset::view_frame(asset, o.asset));
   const AssetViews pictures(o.asset, asset, views, o.renderer, o.device, progress);
@@ -49,7 +54,7 @@ void render_to_folder(const EvaluateOptions& o, const std::filesystem::path& out
     const std::string name = "r_" + std::to_string(i);
     write_file_atomic(out / "test" / (name + ".png"),
                       image::encode_png(straight(pictures.render(i, i + 1)[0])));
-    frames.push_back(frame_json(views[static_cast<size_t>(i)], "./test/" + name));
+    frames.push_back(frame_json(views[static_cast<size_t>(i)], asset.origin, "./test/" + name));
     progress.update(i + 1, {});
     progress.check();
   }

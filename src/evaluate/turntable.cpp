@@ -23,7 +23,7 @@ constexpr double kEncodeSeconds = 3600;
 void render_turntable(const TurntableOptions& o, Progress& progress) {
   at::NoGradGuard guard;
   if (!has_extension(o.out, {".mp4"})) throw InputError(o.out, "expected a name that ends in .mp4");
-  const asset::TexturedMesh asset = asset::load_asset(o.asset);
+  const asset::TexturedMesh asset = asset::load_asset(o.asset, &progress);
   const scene::ViewFrame frame = asset::view_frame(asset, o.asset);
   const auto count = static_cast<int64_t>(std::lround(o.seconds * o.frames_per_second)) * o.blur;
   if (count < 1) throw InputError("a video needs at least one frame; raise --seconds or --fps");

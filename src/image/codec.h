@@ -17,8 +17,12 @@ inline constexpr int64_t kMaxPixels = int64_t{1} << 27;
 
 [[nodiscard]] bool is_png(std::string_view bytes);
 [[nodiscard]] bool is_jpeg(std::string_view bytes);
+[[nodiscard]] bool is_webp(std::string_view bytes);
 [[nodiscard]] at::Tensor decode_png(std::string_view bytes, const std::filesystem::path& name);
 [[nodiscard]] at::Tensor decode_jpeg(std::string_view bytes, const std::filesystem::path& name);
+[[nodiscard]] at::Tensor decode_webp(std::string_view bytes, const std::filesystem::path& name);
+/// True if the WebP has an alpha channel.
+[[nodiscard]] bool webp_has_alpha(std::string_view bytes, const std::filesystem::path& name);
 /// True if the PNG has an alpha channel or a tRNS chunk.
 [[nodiscard]] bool png_has_alpha(std::string_view bytes, const std::filesystem::path& name);
 

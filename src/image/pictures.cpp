@@ -28,11 +28,11 @@ Tensor oriented(const Tensor& image, int orientation) {
 }  // namespace
 
 bool is_picture_name(const fs::path& path) {
-  return has_extension(path, {".png", ".jpg", ".jpeg"});
+  return has_extension(path, {".png", ".jpg", ".jpeg", ".webp"});
 }
 
 std::vector<fs::path> list_pictures(const fs::path& folder) {
-  return list_files(folder, {".png", ".jpg", ".jpeg"});
+  return list_files(folder, {".png", ".jpg", ".jpeg", ".webp"});
 }
 
 Tensor read_upright_image(const fs::path& path) {

@@ -29,7 +29,7 @@ double object_psnr(const object::Object& object, const capture::Capture& capture
 /// Normalises the asset and merges vertices that texture seams had split, so that the surface does
 /// not tear when they move.
 object::Object object_of(const asset::TexturedMesh& asset, const scene::Normalization& n) {
-  const Tensor placed = n.to_inside(asset.vertices);
+  const Tensor placed = relative_to(asset.origin, n).to_inside(asset.vertices);
   const auto [vertices, number, count] = at::unique_dim(placed, 0, true, /*return_inverse=*/true);
   const Tensor faces =
       number.index_select(0, asset.faces.flatten().to(at::kLong)).view({-1, 3}).to(at::kInt);
@@ -50,6 +50,7 @@ scene::Placement placement_of(const asset::TexturedMesh& asset, const fs::path& 
   const Tensor centre = at::tensor({c[0], c[1], c[2]}, at::kDouble);
   const double radius = (asset.vertices.to(at::kDouble) - centre).norm(2, {1}).max().item<double>();
   placement.normalization = {1 / radius, placement.frame.centre};
+  for (size_t k = 0; k < 3; ++k) placement.normalization.centre[k] += asset.origin[k];
   placement.frame = {{0, 0, 0},
                      placement.frame.radius / radius,
                      placement.frame.distance / radius,
@@ -61,7 +62,7 @@ scene::Placement placement_of(const asset::TexturedMesh& asset, const fs::path& 
 
 scene::Placement Run::placement(Progress& progress) {
   const fs::path& path = config_.asset.path;
-  if (from_asset()) return placement_of(assets_.load(path), path);
+  if (from_asset()) return placement_of(assets_.load(path, &progress), path);
   const capture::Capture& photos = photographs(progress);
   return {photos.normalization, capture::capture_view_frame(photos)};
 }
@@ -88,7 +89,7 @@ void Run::run_field(Progress& progress) {
 }
 
 void Run::run_mesh(Progress& progress) {
-  if (from_asset()) return import_asset();
+  if (from_asset()) return import_asset(progress);
   const capture::Capture& photos = photographs(progress);
   const field::RadianceField field =
       field::RadianceField::load(folder_ / "field" / "field.safetensors").to(device_);
@@ -98,10 +99,12 @@ void Run::run_mesh(Progress& progress) {
   save_mesh_stage(object, photos.normalization, object_psnr(object, photos, progress));
 }
 
-void Run::import_asset() {
+void Run::import_asset(Progress& progress) {
   const fs::path& path = config_.asset.path;
-  const asset::TexturedMesh& asset = assets_.load(path);
-  add_inputs({{fs::absolute(path).string(), sha256_file(path)}});
+  const asset::TexturedMesh& asset = assets_.load(path, &progress);
+  std::map<std::string, std::string> hashes;
+  for (const fs::path& file : asset.files) hashes[fs::absolute(file).string()] = sha256_file(file);
+  add_inputs(hashes);
   const scene::Normalization normalization = placement_of(asset, path).normalization;
   save_mesh_stage(object_of(asset, normalization), normalization, std::nullopt);
 }
@@ -111,8 +114,10 @@ void Run::save_mesh_stage(const object::Object& object, const scene::Normalizati
   const fs::path folder = folder_ / "mesh";
   const mesh::MeshFacts facts = mesh::inspect(object.mesh);
   object::save_object(object, folder / "mesh.safetensors");
-  asset::write_ply({normalization.to_world(object.mesh.vertices), object.mesh.faces},
-                   folder / "mesh.ply");
+  const std::array<double, 3> origin = origin_of(normalization);
+  asset::write_ply(
+      {relative_to(origin, normalization).to_world(object.mesh.vertices), object.mesh.faces},
+      folder / "mesh.ply", origin);
   write_json(
       folder / "metrics.json",
       to_json(record::MeshMetrics{facts.faces, facts.vertices, facts.components,

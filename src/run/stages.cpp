@@ -152,7 +152,8 @@ void Run::write_asset(const std::string& name, const scene::TriMesh& mesh,
   const fs::path folder = folder_ / "asset";
   const int size = config_.bake.resolution;
   asset::TexturedMesh asset;
-  asset.vertices = normalization.to_world(mesh.vertices);
+  asset.origin = origin_of(normalization);
+  asset.vertices = relative_to(asset.origin, normalization).to_world(mesh.vertices);
   asset.faces = mesh.faces;
   asset.map = map;
   // Colours are looked up on the rest surface, which is the clean mesh.
@@ -180,10 +181,12 @@ void Run::run_bake(Progress& progress) {
   progress.update(3, {});
   progress.end();
   if (from_asset()) return;  // no photographs to compare with
-  const evaluate::AssetRenderer renderer(assets_.load(folder / "clean.glb"), device_);
+  const asset::TexturedMesh& written = assets_.load(folder / "clean.glb");
+  const scene::Normalization relative = relative_to(written.origin, n);
+  const evaluate::AssetRenderer renderer(written, device_);
   const double psnr = capture::mean_psnr(
       photographs(progress).test,
-      [&](const scene::Camera& camera) { return renderer.render({n.to_world(camera)})[0]; },
+      [&](const scene::Camera& camera) { return renderer.render({relative.to_world(camera)})[0]; },
       progress);
   write_json(folder / "metrics.json", to_json(record::AssetMetrics{psnr}));
 }

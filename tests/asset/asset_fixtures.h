@@ -18,6 +18,24 @@ namespace tt3d::testing {
 /// [3F,3] float: the texels nearest to the corners' uvs.
 [[nodiscard]] at::Tensor corner_colours(const asset::TexturedMesh& mesh);
 
+/// [64,64,3]: red (220,30,30) at the top left, green (30,200,30) at the top right, blue (30,30,220)
+/// at the bottom left and yellow (230,220,40) at the bottom right.
+[[nodiscard]] at::Tensor four_colours();
+/// The nearest texel at a point of the surface; fails the test if no face holds the point.
+[[nodiscard]] std::array<int, 3> colour_at(const asset::TexturedMesh& mesh,
+                                           const std::array<double, 3>& point);
+/// Expects a colour within `tolerance` of each channel.
+void expect_colour(const asset::TexturedMesh& mesh, const std::array<double, 3>& point,
+                   const std::array<int, 3>& colour, int tolerance = 2);
+/// Expects four_colours on the unit square of the x-z plane, red at x = 0, z = 1.
+void expect_four_colours(const asset::TexturedMesh& mesh);
+/// The sum of the faces' areas.
+[[nodiscard]] double surface_area(const asset::TexturedMesh& mesh);
+
+/// load_asset with the notes it gives, one a line.
+[[nodiscard]] asset::TexturedMesh load_with_notes(const std::filesystem::path& path,
+                                                  std::string& notes);
+
 /// A GLB made by hand from JSON and a binary chunk.
 [[nodiscard]] std::string make_glb(const nlohmann::json& root, std::string binary);
 /// The two parts of a GLB.

@@ -186,7 +186,7 @@ TEST_F(Glb, WrongContainers) {
   EXPECT_NE(asset_error(path_).find("not a GLB"), std::string::npos);
   EXPECT_NE(asset_error(folder_ / "none.glb").find("cannot open"), std::string::npos);
   write_file_atomic(folder_ / "a.stl", "solid");
-  EXPECT_NE(asset_error(folder_ / "a.stl").find(".glb or .obj"), std::string::npos);
+  EXPECT_NE(asset_error(folder_ / "a.stl").find(".glb or .obj or .gltf"), std::string::npos);
   expect_error([](json& root, std::string&) { root["asset"]["version"] = "1.0"; }, "version 2");
   expect_error([](json& root, std::string&) { root = json::array(); }, "not valid JSON");
   expect_error(

@@ -72,6 +72,43 @@ TEST_F(Obj, VertexColoursAreExactAtTheCorners) {
   EXPECT_TRUE(at::equal(testing::corner_colours(mesh), at::eye(3) * 255));
 }
 
+TEST_F(Obj, VertexColoursAsBytesAndAfterPlainVertices) {
+  const TexturedMesh mesh =
+      load("v 0 0 0\nv 1 0 0 255 0 0\nv 0 1 0 0 255 0\nv 1 1 0 0 0 51\nf 2 4 3\nf 1 2 3\n");
+  const at::Tensor colours = testing::corner_colours(mesh);
+  EXPECT_TRUE(at::equal(colours[0], at::tensor({255.F, 0.F, 0.F})));
+  EXPECT_TRUE(at::equal(colours[1], at::tensor({0.F, 0.F, 51.F})));
+  EXPECT_EQ(colours.narrow(0, 3, 3).min().item<float>(), 255);  // a corner has no colour: white
+}
+
+TEST_F(Obj, ConcavePolygon) {
+  const TexturedMesh mesh =
+      load("v 2 1 0\nv 1 1 0\nv 1 2 0\nv 0 2 0\nv 0 0 0\nv 2 0 0\nf 1 2 3 4 5 6\n");
+  EXPECT_NEAR(testing::surface_area(mesh), 3, 1e-6);
+  EXPECT_EQ(mesh.faces.size(0), 4);
+}
+
+TEST_F(Obj, LongConcavePolygonsAreRefused) {
+  std::string text, face = "f";
+  for (int i = 0; i < 6000; ++i) {
+    const std::string x = std::to_string(i);
+    text.append("v ").append(x).append(" 1 0\nv ").append(x).append(".5 0.1 0\n");
+    face.append(" ").append(std::to_string(2 * i + 1));
+    face.append(" ").append(std::to_string(2 * i + 2));
+  }
+  text.append("v 0 -1 0\n").append(face).append(" -1\n");
+  expect_error(text, "split the face into triangles");
+}
+
+TEST_F(Obj, TinyNumbersAreZeroAndHugeOnesRefused) {
+  const TexturedMesh mesh =
+      load("v 1e-50 0 -4.9e-324\nv 1 1e-400 0\nv 1 1 0\nvt 1e-300 0\nf 1/1 2/1 3/1\n");
+  EXPECT_NEAR(testing::surface_area(mesh), 0.5, 1e-6);
+  EXPECT_EQ(mesh.vertices[0].abs().max().item<float>(), 0);
+  expect_error("v 1e400 0 0\n", "object.obj:1:");
+  expect_error("v 0 0 0\nvt 1e39 0\n", "object.obj:2:");
+}
+
 TEST_F(Obj, TwoTexturesKeepTheirTexels) {
   const at::Tensor first = at::full({8, 8, 3}, 200, at::kByte);
   const at::Tensor second =

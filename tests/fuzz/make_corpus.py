@@ -3,8 +3,8 @@
     python tests/fuzz/make_corpus.py
 
 zip: small archives, stored and deflated. graph: graph and tables of weights, in the layout of
-graph_fuzz.cpp. card: the toy cards with short probes. asset: a triangle as GLB and a quad as OBJ.
-image: small pictures.
+graph_fuzz.cpp. card: the toy cards with short probes. asset: a triangle as GLB, one with a skin, a
+morph target, instances and colours, polygons as OBJ, and an MTL. image: small pictures.
 The results are committed.
 """
 
@@ -86,6 +86,16 @@ def card_seed(name: str) -> bytes:
     return compact(card)
 
 
+def glb(scene: object, binary: bytes) -> bytes:
+    """Return a GLB after the byte that selects the reader."""
+    text = compact(scene)
+    text += b" " * (-len(text) % 4)
+    length = 12 + 8 + len(text) + 8 + len(binary)
+    head = struct.pack("<4sII", b"glTF", 2, length)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    return b"g" + head + chunks + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+
+
 def glb_seed() -> bytes:
     """Return a coloured triangle with uvs as GLB, after the byte that selects the reader."""
     points = struct.pack("<15f", 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1)
@@ -115,12 +125,64 @@ def glb_seed() -> bytes:
         "bufferViews": views,
         "buffers": [{"byteLength": len(binary)}],
     }
-    text = compact(scene)
-    text += b" " * (-len(text) % 4)
-    length = 12 + 8 + len(text) + 8 + len(binary)
-    head = struct.pack("<4sII", b"glTF", 2, length)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text
-    return b"g" + head + chunks + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    return glb(scene, binary)
+
+
+def rich_glb_seed() -> bytes:
+    """Return a triangle with a skin, sparse morph target, instances, colours and extensions."""
+    parts = [
+        struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0),  # positions, translations
+        struct.pack("<12B", *(1, 0, 0, 0) * 3),  # joints, weights
+        struct.pack("<9f", 1, 0, 0, 0, 1, 0, 0, 0, 1),  # colours
+        struct.pack("<32f", *(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1) * 2),  # matrices
+        struct.pack("<2H3f", 1, 0, 0, 1, 0),  # sparse index and value
+        struct.pack("<6H", 0, 1, 1, 0, 1, 1),  # uvs
+    ]
+    views, binary = [], b""
+    for part in parts:
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(part)})
+        binary += part
+    kinds = (
+        (0, 5126, 3, "VEC3"), (1, 5121, 3, "VEC4"), (2, 5126, 3, "VEC3"), (3, 5126, 2, "MAT4"),
+        (5, 5123, 3, "VEC2"),
+    )  # fmt: skip
+    accessors = [
+        {"bufferView": v, "componentType": c, "count": n, "type": t} for v, c, n, t in kinds
+    ]
+    accessors.append({
+        "componentType": 5126, "count": 3, "type": "VEC3",
+        "sparse": {"count": 1, "indices": {"bufferView": 4, "componentType": 5123},
+                   "values": {"bufferView": 4, "byteOffset": 4}},
+    })  # fmt: skip
+    primitive = {
+        "attributes": {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 1, "COLOR_0": 2, "TEXCOORD_0": 4},
+        "targets": [{"POSITION": 5}],
+        "material": 0,
+    }
+    instances = {"attributes": {"TRANSLATION": 0, "SCALE": 2}}
+    scene = {
+        "asset": {"version": "2.0"},
+        "extensionsRequired": ["KHR_mesh_quantization", "EXT_mesh_gpu_instancing"],
+        "nodes": [
+            {"mesh": 0, "skin": 0},
+            {"mesh": 0, "extensions": {"EXT_mesh_gpu_instancing": instances}},
+        ],
+        "skins": [{"joints": [0, 1], "inverseBindMatrices": 3}],
+        "meshes": [{"weights": [0.5], "primitives": [primitive]}],
+        "materials": [
+            {
+                "emissiveFactor": [1, 1, 1],
+                "extensions": {
+                    "KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [0, 0, 0, 1]},
+                    "KHR_materials_emissive_strength": {"emissiveStrength": 2},
+                },
+            }
+        ],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(binary)}],
+    }
+    return glb(scene, binary)
 
 
 def image_seeds() -> dict[str, bytes]:
@@ -154,7 +216,16 @@ def main() -> None:
     write("card", {name: card_seed(name) for name in TOYS} | {"imagenet": compact(imagenet)})
     obj = b"ov 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nv 1 1 0\nvt 0 0\nf 1/1 2/1 -1/1 3/1\n"
     write("image", image_seeds())
-    write("asset", {"triangle_glb": glb_seed(), "quad_obj": obj})
+    polygon = (
+        b"ov 2 1 0\nv 1 1 0\nv 1 2 0 # a\nv 0 2 0\nv 0 0 1e-400\nv 4e6 +0 .5\nvt 1\n"
+        b'mtllib "a b.mtl" c.mtl\nusemtl\nF 1/1 2/1 3/1 \\\n4/1 5/1 6/1 # b\n'
+    )
+    mtl = (
+        b'mnewmtl one # x\nKd 0 0 0\nKe 1\nmap_Kd -s 2 2 1 -o .5 -mm 0 1 -clamp on "a b.png"\n'
+        b'map_Ke -bm 1\nnewmtl "two"\nmap_kd C:\\x\\y.png\n'
+    )
+    seeds = {"triangle_glb": glb_seed(), "rich_glb": rich_glb_seed(), "quad_obj": obj}
+    write("asset", seeds | {"polygon_obj": polygon, "material_mtl": mtl})
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
+#include <webp/encode.h>
 
 #include "support/make_png.h"
 #include "support/temporary_folder.h"
@@ -128,6 +129,44 @@ TEST(Image, UnusualJpegSamplingIsRead) {
   const at::Tensor image = decode_image(bytes, "x");
   ASSERT_EQ(image.sizes(), at::IntArrayRef({16, 8, 4}));
   EXPECT_TRUE(image.narrow(2, 0, 3).eq(77).all().item<bool>());
+}
+
+/// [H,W,4] uint8 as lossless WebP.
+std::string make_webp(const at::Tensor& image) {
+  uint8_t* data = nullptr;
+  const auto width = static_cast<int>(image.size(1)), height = static_cast<int>(image.size(0));
+  const size_t size =
+      WebPEncodeLosslessRGBA(image.const_data_ptr<uint8_t>(), width, height, 4 * width, &data);
+  std::string bytes(reinterpret_cast<const char*>(data), size);
+  WebPFree(data);
+  return bytes;
+}
+
+TEST(Image, WebpIsRead) {
+  at::Tensor image = gradient(9, 13, 4);
+  image.select(2, 3).clamp_(1);  // a transparent pixel has no colour in WebP
+  const std::string bytes = make_webp(image);
+  EXPECT_TRUE(at::equal(decode_image(bytes, "x.webp"), image));
+  const testing::TemporaryFolder folder;
+  write_file_atomic(folder / "alpha.webp", bytes);
+  EXPECT_TRUE(image_has_alpha(folder / "alpha.webp"));
+  image.select(2, 3).fill_(255);
+  write_file_atomic(folder / "opaque.webp", make_webp(image));
+  EXPECT_FALSE(image_has_alpha(folder / "opaque.webp"));
+  for (size_t size = 12; size < bytes.size(); size += 5) {
+    EXPECT_NE(decode_error(bytes.substr(0, size)).find("WebP"), std::string::npos) << size;
+  }
+}
+
+TEST(Image, OtherFormatsAreNamed) {
+  EXPECT_NE(decode_error("GIF89a").find("is a GIF file"), std::string::npos);
+  EXPECT_NE(decode_error(std::string("II*\0", 4)).find("is a TIFF file"), std::string::npos);
+  EXPECT_NE(decode_error("BM12").find("is a BMP file"), std::string::npos);
+  EXPECT_NE(decode_error(std::string("\0\0\0\x18"
+                                     "ftypheic ",
+                                     13))
+                .find("HEIC or AVIF"),
+            std::string::npos);
 }
 
 TEST(Image, CmykJpegIsRefused) {

@@ -21,7 +21,7 @@ CENTRE = np.array([1, 2, 3])
 
 @pytest.fixture(scope="module")
 def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    program = BUILD / "tests/bake/bake_test"
+    program = BUILD / "tests/asset/asset_test"
     if not program.exists():
         pytest.skip(f"{program} is not built")
     folder = tmp_path_factory.mktemp("assets")

@@ -2,8 +2,10 @@
 
 #include <ATen/core/Tensor.h>
 
+#include <array>
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <vector>
 
 #include "tt3d/core.h"
@@ -13,59 +15,75 @@
 #include "tt3d/surface.h"
 
 /// Textured meshes as files. World right-handed, +Z up, in the coordinates and units of the input.
+/// Far from the world's origin float32 would lose digits; there the vertices are relative to
+/// TexturedMesh::origin, and so are all cameras and frames made for the mesh.
 namespace tt3d::asset {
 
 /// A mesh with one texture.
 struct TexturedMesh {
-  at::Tensor vertices;  ///< [V,3] float32, world
-  at::Tensor faces;     ///< [F,3] int32, counter-clockwise seen from the front
-  scene::UvMap map;     ///< texture coordinates of the faces
-  at::Tensor texture;   ///< [H,W,3] uint8, sRGB, row 0 at the top
+  at::Tensor vertices;                    ///< [V,3] float32, world minus origin
+  at::Tensor faces;                       ///< [F,3] int32, counter-clockwise seen from the front
+  scene::UvMap map;                       ///< texture coordinates of the faces
+  at::Tensor texture;                     ///< [H,W,3] uint8, sRGB, row 0 at the top
+  std::array<double, 3> origin{0, 0, 0};  ///< see far_origin
+  /// The files that load_asset read: the asset, its material files, buffers and pictures.
+  std::vector<std::filesystem::path> files = {};
 };
+
+/// The origin for a mesh in the box from `low` to `high`: zero for most, and a point near the
+/// centre if the coordinates are over 256 times as large as the box.
+[[nodiscard]] std::array<double, 3> far_origin(const std::array<double, 3>& low,
+                                               const std::array<double, 3>& high);
 
 /// Throws InputError that begins with `where` if a mesh is empty, has tensors of the wrong shape or
 /// dtype, values that are not finite, or indices out of range.
 void check_mesh(const TexturedMesh& mesh, const std::filesystem::path& where);
 
-/// Writes a mesh for the Python tools: a safetensors file of its tensors, named as the members.
-/// Throws ResourceError.
+/// Writes a mesh for the Python tools: a safetensors file of its tensors, named as the members. The
+/// vertices stay relative to the origin. Throws ResourceError.
 void save_mesh_tensors(const TexturedMesh& mesh, const std::filesystem::path& path);
 
 /// Writes a self-contained binary glTF 2.0: one mesh, a PNG texture, KHR_materials_unlit, and a
 /// matte lit material as fallback. glTF is Y-up: (x, y, z) is written as (x, z, -y). glTF has one
-/// index for position and uv, so a vertex with several uvs is split. Throws InputError (see
-/// check_mesh) and ResourceError.
+/// index for position and uv, so a vertex with several uvs is split. An origin becomes the node's
+/// translation. Throws InputError (see check_mesh) and ResourceError.
 void write_glb(const TexturedMesh& mesh, const std::filesystem::path& path);
 
 /// Writes NAME.obj with NAME.mtl and NAME.png beside it. Coordinates stay unchanged (+Z up);
 /// positions and uvs have separate indices. Throws InputError (see check_mesh) and ResourceError.
 void write_obj(const TexturedMesh& mesh, const std::filesystem::path& path);
 
-/// Writes a binary PLY with vertices and faces only; coordinates stay unchanged. Throws
-/// ResourceError.
-void write_ply(const scene::TriMesh& mesh, const std::filesystem::path& path);
+/// Writes a binary PLY with vertices and faces only; the vertices are relative to `origin`, which
+/// is added (as float64 unless it is zero). Throws ResourceError.
+void write_ply(const scene::TriMesh& mesh, const std::filesystem::path& path,
+               const std::array<double, 3>& origin = {0, 0, 0});
 
-/// Reads a .glb (Y-up, rotated to +Z up) or an .obj (assumed +Z up), written by tt3d or another
-/// program. Several meshes, nodes and materials become one mesh and one texture. Repeating textures
-/// are tiled. A material without a texture gets one from its colour or the vertex colours. Light,
-/// normals, animation and transparency are ignored. The uvs are in [0,1]. Throws InputError with
-/// the file and the problem.
-[[nodiscard]] TexturedMesh load_asset(const std::filesystem::path& path);
+/// Reads a .glb or .gltf (Y-up, rotated to +Z up) or an .obj (assumed +Z up), written by tt3d or
+/// another program. Several meshes, nodes and materials become one mesh and one texture. Repeating
+/// textures are tiled. A material without a texture gets one from its colour or the vertex colours.
+/// Light, normals, animation and transparency are ignored. The uvs are in [0,1]. `progress`
+/// receives notes on what was ignored or replaced. Throws InputError with the file and the problem.
+[[nodiscard]] TexturedMesh load_asset(const std::filesystem::path& path,
+                                      Progress* progress = nullptr);
 
 /// Asset files; each is loaded once.
 class AssetFiles {
  public:
-  /// load_asset(path), or the earlier result for this path.
-  [[nodiscard]] const TexturedMesh& load(const std::filesystem::path& path);
+  /// load_asset(path, progress), or the earlier result for this path. All assets have the origin of
+  /// the first, so that they can be compared.
+  [[nodiscard]] const TexturedMesh& load(const std::filesystem::path& path,
+                                         Progress* progress = nullptr);
   /// Forgets a file, because it is written again.
   void forget(const std::filesystem::path& path) { loaded_.erase(path); }
 
  private:
   std::map<std::filesystem::path, TexturedMesh> loaded_;
+  std::optional<std::array<double, 3>> origin_;
 };
 
 /// The frame of the views of an asset, in its units: read from `views.json` beside it (a run writes
-/// this file from its capture), else derived from the bounding box of the asset. Throws InputError.
+/// this file from its capture), else derived from the bounding box of the asset. Its centre is
+/// relative to the asset's origin. Throws InputError.
 [[nodiscard]] scene::ViewFrame view_frame(const TexturedMesh& asset,
                                           const std::filesystem::path& asset_path);
 /// Writes `views.json` into the folder of the assets.

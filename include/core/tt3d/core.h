@@ -124,5 +124,4 @@ struct ProcessResult {
 /// Seconds on a monotonic clock.
 [[nodiscard]] double now_seconds() noexcept;
 
-
 }  // namespace tt3d

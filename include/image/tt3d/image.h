@@ -14,10 +14,10 @@ namespace tt3d::image {
 
 // ---- Files --------------------------------------------------------------------------------
 
-/// Reads a PNG or JPEG; the content decides, not the name. 8 or 16 bit, grey, palette or RGB, with
-/// or without alpha; EXIF is ignored. Returns [H,W,4] uint8, sRGB, straight alpha, row 0 at the
-/// top; alpha is 255 if the file has none. Throws InputError (missing, empty, truncated, corrupt,
-/// too large).
+/// Reads a PNG, JPEG or WebP; the content decides, not the name. 8 or 16 bit, grey, palette or RGB,
+/// with or without alpha; EXIF is ignored. Returns [H,W,4] uint8, sRGB, straight alpha, row 0 at
+/// the top; alpha is 255 if the file has none. Throws InputError (missing, empty, truncated,
+/// corrupt, too large).
 [[nodiscard]] at::Tensor read_image(const std::filesystem::path& path);
 
 /// True if the image file has an alpha channel or transparency.
@@ -27,7 +27,8 @@ namespace tt3d::image {
 [[nodiscard]] std::string encode_png(const at::Tensor& image);
 /// Encodes [H,W,3] uint8 as JPEG of the given quality (1..100); returns the file's bytes.
 [[nodiscard]] std::string encode_jpeg(const at::Tensor& image, int quality = 90);
-/// Decodes PNG or JPEG bytes, with the result of read_image; `name` is the file name in errors.
+/// Decodes PNG, JPEG or WebP bytes, with the result of read_image; `name` is the file name in
+/// errors.
 [[nodiscard]] at::Tensor decode_image(std::string_view bytes, const std::filesystem::path& name);
 
 /// Converts float [H,W,C], clamped to [0,1], to uint8, rounded to nearest.

@@ -10,7 +10,7 @@
 /// pictures whose values are labels.
 namespace tt3d::image {
 
-/// True for the extensions .png, .jpg and .jpeg, in upper or lower case.
+/// True for the extensions .png, .jpg, .jpeg and .webp, in upper or lower case.
 [[nodiscard]] bool is_picture_name(const std::filesystem::path& path);
 
 /// The pictures of a folder, sorted by name, without hidden files. Throws InputError if the folder

@@ -86,7 +86,7 @@ class Run {
   const capture::Capture& photographs(Progress& progress);
   [[nodiscard]] scene::Placement placement(Progress& progress);
   [[nodiscard]] object::Object clean_object() const;
-  void import_asset();
+  void import_asset(Progress& progress);
   void save_mesh_stage(const object::Object& object, const scene::Normalization& normalization,
                        std::optional<double> psnr);
   /// The input of an attack without the models.
