@@ -175,9 +175,9 @@ class ObjReader {
   }
 
   fs::path path_;
+  AssetSource source_;  ///< the members below read into it
   std::string text_;
   Lines lines_;
-  AssetSource source_;
   MtlLibrary library_;
   std::map<const MtlMaterial*, int32_t> used_;
   std::string wanted_;  ///< the name in the last `usemtl` statement, and its line

@@ -16,8 +16,8 @@ void read_asset(const std::filesystem::path& path, bool glb) {
 
 /// Reads a material library and its material "one".
 void read_mtl(const std::filesystem::path& path) {
-  std::set<std::string> notes;
-  tt3d::asset::MtlLibrary library(path, notes);
+  tt3d::asset::AssetSource source;
+  tt3d::asset::MtlLibrary library(path, source);
   library.add(path.filename().string());
   const tt3d::asset::MtlMaterial* material = library.find("one");
   if (material != nullptr) (void)library.load(*material);

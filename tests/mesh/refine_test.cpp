@@ -6,6 +6,7 @@
 #include "support/synthetic_capture.h"
 #include "support/temporary_folder.h"
 #include "tt3d/capture.h"
+#include "tt3d/memory.h"
 #include "tt3d/mesh.h"
 #include "tt3d/raster.h"
 #include "tt3d/scene.h"
