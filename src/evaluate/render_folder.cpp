@@ -62,10 +62,8 @@ void render_to_folder(const EvaluateOptions& o, const std::filesystem::path& out
   const scene::Camera& camera = views[0].camera;
   const json transforms = {{"camera_angle_x", 2 * std::atan(0.5 * camera.width / camera.fx)},
                            {"frames", frames}};
-  // Readers of the format expect a training split, so both splits name the same pictures.
-  for (const char* split : {"transforms_train.json", "transforms_test.json", "transforms.json"}) {
-    write_json(out / split, transforms);
-  }
+  // Readers of the format need a training split and hold out some of its views themselves.
+  write_json(out / "transforms_train.json", transforms);
 }
 
 }  // namespace tt3d::evaluate

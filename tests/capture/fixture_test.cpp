@@ -110,7 +110,7 @@ TEST(Fixture, NerfSynthetic) {
   EXPECT_EQ(capture.format, CaptureFormat::kNerfSynthetic);
   EXPECT_EQ(capture.train.size(), 15U);
   EXPECT_EQ(capture.test.size(), 5U);
-  EXPECT_EQ(capture.files.size(), 2U);
+  EXPECT_EQ(capture.files.size(), 22U) << "two camera files and twenty pictures";
   EXPECT_TRUE(capture.has_masks);
   EXPECT_EQ(capture.train[0].name, "train/view_00.png");
   expect_balls_in_place(capture);

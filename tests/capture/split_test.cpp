@@ -170,7 +170,7 @@ TEST_F(Split, ThePathOfAJsonFileIsThatFile) {
   write_file_atomic(folder_ / "transforms_few.json", few.dump());
   const Capture capture = load(folder_ / "transforms_few.json", notes_);
   EXPECT_EQ(capture.train.size() + capture.test.size(), 5U);
-  ASSERT_EQ(capture.files.size(), 1U);
+  ASSERT_EQ(capture.files.size(), 6U) << "the camera file and five pictures";
   EXPECT_EQ(fs::path(capture.files[0]).filename(), "transforms_few.json");
   EXPECT_EQ(load(folder_.path(), notes_).files[0], (folder_ / "transforms.json").string());
   EXPECT_NE(error_of([&] {

@@ -246,7 +246,8 @@ TEST(RenderToFolder, LoadsAsACaptureWithTheSameViews) {
   o.path = folder / "views";
   o.format = capture::CaptureFormat::kNerfSynthetic;
   const capture::Capture capture = capture::load_capture(o, quiet);
-  EXPECT_EQ(capture.train.size(), 6U);
+  EXPECT_EQ(capture.train.size(), 5U);
+  EXPECT_EQ(capture.test.size(), 1U);
   EXPECT_TRUE(capture.has_masks);
   const Tensor middle = capture.train[0].rgba[24][24];
   EXPECT_NEAR(middle[2].item<double>(), 204, 2);

@@ -101,7 +101,7 @@ def test_lit_pictures_have_ground_and_shadow(
     skip_without(renderer)
     unlit = pictures(assets["glb"], tmp_path / "unlit")
     lit = pictures(assets["glb"], tmp_path / "lit", "--renderer", renderer, "--lit")
-    frames = json.loads((tmp_path / "lit/transforms.json").read_text())["frames"]
+    frames = json.loads((tmp_path / "lit/transforms_train.json").read_text())["frames"]
     above = [i for i, f in enumerate(frames) if f["elevation_deg"] > 15]
     assert above, "the seed gives a view from above"
     for i in above:
@@ -122,7 +122,7 @@ def test_meshlab_has_the_ground_where_the_camera_is_above_it(
     skip_without("meshlab")
     unlit = pictures(assets["glb"], tmp_path / "unlit")
     lit = pictures(assets["glb"], tmp_path / "lit", "--renderer", "meshlab", "--lit")
-    frames = json.loads((tmp_path / "lit/transforms.json").read_text())["frames"]
+    frames = json.loads((tmp_path / "lit/transforms_train.json").read_text())["frames"]
     heights = [f["elevation_deg"] for f in frames]
     assert max(heights) > 15, "the seed gives a view from above"
     for picture, outline, height in zip(lit, unlit, heights, strict=True):

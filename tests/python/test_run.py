@@ -419,7 +419,7 @@ def test_render_makes_a_capture(finished: Path, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     info = json.loads(tt3d("info", tmp_path / "views", "--json").stdout)
-    assert info["train_views"] == 3 and info["masks"] is True
+    assert info["train_views"] + info["test_views"] == 3 and info["masks"] is True
 
 
 def test_attack_again_with_another_method_and_bake(finished: Path, tmp_path: Path) -> None:
