@@ -32,7 +32,8 @@ def peak_of(steps: int, asset: Path, run: Path) -> int:
     """
     done = tt3d(
         "attack", run, "--asset", asset, "--target", "teapot", "--method", "strong", "--threads", 2,
-        "--surrogate", *MODELS, "--set", f"attack.steps={steps}", "--set", "attack.epoch=0", "--set", "attack.views_per_step=4",
+        "--surrogate", *MODELS, "--set", f"attack.steps={steps}", "--set", "attack.epoch=0",
+        "--set", "attack.views_per_step=4",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     stages = json.loads((run / "run.json").read_text())["stages"]
