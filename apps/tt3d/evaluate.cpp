@@ -70,9 +70,12 @@ void add_view_options(CLI::App& command, Arguments& a) {
 
 void add_evaluate(CLI::App& app, Common& common) {
   auto a = std::make_shared<Arguments>();
-  CLI::App* command = app.add_subcommand("evaluate", "score any GLB or OBJ with classifiers");
-  command->add_option("ASSET", a->options.asset, "GLB or OBJ")->required();
-  command->add_option("--target", a->options.target, "class: index, WordNet id or name")
+  CLI::App* command = app.add_subcommand("evaluate", "score any GLB, glTF or OBJ with classifiers");
+  command->add_option("ASSET", a->options.asset, "GLB, glTF or OBJ")->required();
+  command
+      ->add_option(
+          "--target", a->options.target,
+          "class: index, WordNet id or name; for models with different labels SET=CLASS,SET=CLASS")
       ->required();
   add_key_option(*command, "--victims", a->keys, "victims")->required();
   add_key_option(*command, "--true-class", a->keys, "true_class");
@@ -91,7 +94,7 @@ void add_render(CLI::App& app, Common& common) {
   auto a = std::make_shared<Arguments>();
   CLI::App* command =
       app.add_subcommand("render", "render views of an asset as a NeRF-synthetic capture");
-  command->add_option("ASSET", a->options.asset, "GLB or OBJ")->required();
+  command->add_option("ASSET", a->options.asset, "GLB, glTF or OBJ")->required();
   command->add_option("--out", a->out, "output folder; with --video an .mp4 file")->required();
   command->add_flag("--video", a->make_video, "render a video once around the object (ffmpeg)");
   command->add_option("--seconds", a->video.seconds, "length of the video, seconds")

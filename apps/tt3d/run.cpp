@@ -223,7 +223,7 @@ void add_attack(CLI::App& app, Common& common) {
   CLI::App* command = stage_command(app, common, *a, "attack", "attack the mesh");
   command->get_option("RUN")->required(false);
   command->add_option("--asset", a->asset,
-                      "textured mesh (GLB, OBJ) in place of a capture; creates RUN");
+                      "textured mesh (GLB, glTF, OBJ) in place of a capture; creates RUN");
   command->add_option("--also", a->also, "run folders of further objects that share the same tile");
   const auto key = [&](const char* flag, const char* name) {
     return add_assignment(*command, flag, name, a->assignments);

@@ -144,7 +144,7 @@ void add_print_check(CLI::App& app, Common& common) {
   auto a = std::make_shared<PrintArguments>();
   CLI::App* command =
       app.add_subcommand("print-check", "find faults that prevent 3D printing, with advice");
-  command->add_option("ASSET", a->asset, "GLB or OBJ")->required();
+  command->add_option("ASSET", a->asset, "GLB, glTF or OBJ")->required();
   command->add_option("--size-mm", a->size_mm, "longest side of the print")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
@@ -301,7 +301,7 @@ void add_judge(CLI::App& app, Common& common) {
     auto a = std::make_shared<JudgeArguments>();
     a->task = task;
     CLI::App* command = group->add_subcommand(task, words);
-    command->add_option("ASSET", a->options.asset, "GLB or OBJ")->required();
+    command->add_option("ASSET", a->options.asset, "GLB, glTF or OBJ")->required();
     command
         ->add_option("--text", a->text, "phrases that end in dots: \"TRUE CLASS. TARGET CLASS.\"")
         ->required();
@@ -359,7 +359,11 @@ void add_video_score(CLI::App& app, Common& common) {
   CLI::App* command =
       app.add_subcommand("video-score", "score the frames of a video of the printed object");
   command->add_option("VIDEO", o->video, "video file that ffmpeg can read")->required();
-  command->add_option("--target", o->target, "class: index, WordNet id or name")->required();
+  command
+      ->add_option(
+          "--target", o->target,
+          "class: index, WordNet id or name; for models with different labels SET=CLASS,SET=CLASS")
+      ->required();
   command->add_option("--victims", o->victims, "models that are scored")->required();
   command->add_option("--true-class", o->true_class, "class of the object");
   command->add_option("--frames", o->frames, "number of frames, evenly spaced")

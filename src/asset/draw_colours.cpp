@@ -163,6 +163,7 @@ std::vector<Patch> draw_colours(const AssetSource& source, const std::vector<siz
     smaller.insert(smaller.end(), largest.mapped().begin(), largest.mapped().end());
   }
   std::vector<Patch> patches;
+  patches.reserve(by_side.size());
   for (const auto& [side, group] : by_side) patches.push_back(draw_blocks(source, group, side));
   return patches;
 }

@@ -4,6 +4,7 @@
 
 #include "model/package_tools.h"
 #include "model/tensor_memory.h"
+#include "support/error_of.h"
 #include "support/temporary_folder.h"
 #include "tt3d/model.h"
 
@@ -82,6 +83,13 @@ TEST(Memory, OneImageThatDoesNotFitIsAResourceError) {
   const auto model = with_limit("toy_cnn", 1000);
   EXPECT_THROW((void)model->logits(at::rand({1, 3, 16, 16})), ResourceError);
   EXPECT_THROW((void)gradient(*model, at::rand({2, 3, 16, 16})), ResourceError);
+  const std::string error = testing::error_of<ResourceError>([] {
+    (void)with_limit("toy_cnn", 1000)->logits(at::rand({1, 3, 16, 16}));
+  });
+  for (const char* part : {"with a single image: ", "GiB of memory are free", "this process holds",
+                           "use fewer or smaller models"}) {
+    EXPECT_NE(error.find(part), std::string::npos) << error;
+  }
 }
 
 TEST(Memory, GradientsOutliveTheClassifier) {

@@ -23,7 +23,7 @@ namespace tt3d::run {
 struct AssetInput {
   std::filesystem::path path;
   void keys(KeyList& key) {
-    key("path", path, "textured mesh (GLB, OBJ), attacked in place of a capture");
+    key("path", path, "textured mesh (GLB, glTF, OBJ), attacked in place of a capture");
   }
 };
 
