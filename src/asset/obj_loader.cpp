@@ -112,6 +112,7 @@ class ObjReader {
     if (material_ < 0) use_material();
     if (corners.size() == 3) return add_triangle(corners, {0, 1, 2});
     std::vector<std::array<double, 3>> points;
+    points.reserve(corners.size());
     for (const auto& [vertex, uv] : corners) {
       points.push_back(source_.positions[static_cast<size_t>(vertex)]);
     }
