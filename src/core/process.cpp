@@ -73,6 +73,7 @@ bool ended(pid_t pid, double deadline, int& status, const ProcessWatch& watch) {
 
 pid_t spawn(const std::vector<std::string>& command, int output_fd) {
   std::vector<char*> argv;
+  argv.reserve(command.size() + 1);
   for (const std::string& word : command) argv.push_back(const_cast<char*>(word.c_str()));
   argv.push_back(nullptr);
   posix_spawn_file_actions_t actions;

@@ -31,6 +31,7 @@ struct LoadedVictim {
 
 std::vector<const model::ModelCard*> cards_of(const std::vector<LoadedVictim>& victims) {
   std::vector<const model::ModelCard*> cards;
+  cards.reserve(victims.size());
   for (const LoadedVictim& v : victims) cards.push_back(&v.model->card());
   return cards;
 }
@@ -38,6 +39,7 @@ std::vector<const model::ModelCard*> cards_of(const std::vector<LoadedVictim>& v
 std::vector<std::shared_ptr<const model::Classifier>> models_of(
     const std::vector<LoadedVictim>& victims) {
   std::vector<std::shared_ptr<const model::Classifier>> models;
+  models.reserve(victims.size());
   for (const LoadedVictim& v : victims) models.push_back(v.model);
   return models;
 }

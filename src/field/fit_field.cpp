@@ -23,6 +23,7 @@ constexpr int64_t kFewestRays = 256;
 
 std::vector<Tensor> zeros_like_all(const std::vector<Tensor>& tensors) {
   std::vector<Tensor> out;
+  out.reserve(tensors.size());
   for (const Tensor& t : tensors)
     out.push_back(at::zeros_like(t, t.options().requires_grad(false)));
   return out;

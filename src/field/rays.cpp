@@ -189,8 +189,10 @@ Tensor render_rays(const RadianceField& f, const Rays& rays, const Tensor& jitte
 
 Tensor visual_hull(const std::vector<capture::View>& views, int64_t size) {
   std::vector<Tensor> masks;
+  masks.reserve(views.size());
   for (const capture::View& view : views) masks.push_back(dilated_mask(view, size));
   std::vector<std::array<double, 16>> world_to_camera;
+  world_to_camera.reserve(views.size());
   for (const capture::View& view : views)
     world_to_camera.push_back(scene::world_to_clip(view.camera, 0.01, 100));
   Tensor hull = at::zeros({size, size, size}, at::kByte);
@@ -205,7 +207,7 @@ Tensor visual_hull(const std::vector<capture::View>& views, int64_t size) {
     for (size_t v = 0; v < views.size(); ++v) {
       const auto& m = world_to_camera[v];
       double q[4];
-      for (int k = 0; k < 4; ++k)
+      for (size_t k = 0; k < 4; ++k)
         q[k] = m[4 * k] * p[0] + m[4 * k + 1] * p[1] + m[4 * k + 2] * p[2] + m[4 * k + 3];
       if (q[3] <= 0) continue;
       const scene::Camera& camera = views[v].camera;

@@ -21,11 +21,11 @@ TT3D_HD void pixel_ray(const double* camera, double column, double row, float or
   const double local[3] = {(column - pinhole[2]) / pinhole[0], -(row - pinhole[3]) / pinhole[1],
                            -1.0};
   double world[3], norm = 0;
-  for (int k = 0; k < 3; ++k) {
+  for (int64_t k = 0; k < 3; ++k) {
     world[k] = m[4 * k] * local[0] + m[4 * k + 1] * local[1] + m[4 * k + 2] * local[2];
     norm += world[k] * world[k];
   }
-  for (int k = 0; k < 3; ++k) {
+  for (int64_t k = 0; k < 3; ++k) {
     origin[k] = static_cast<float>(m[4 * k + 3]);
     direction[k] = static_cast<float>(world[k] / std::sqrt(norm));
   }
@@ -61,9 +61,9 @@ struct DrawRay {
     }
     const double* camera = cameras + view * kCameraNumbers;
     const auto width = static_cast<int64_t>(camera[16]);
-    const int64_t pixel = pixels[i];
-    pixel_ray(camera, static_cast<double>(pixel % width) + 0.5,
-              static_cast<double>(pixel / width) + 0.5, origins + 3 * r, directions + 3 * r);
+    const int64_t pixel = pixels[i], column = pixel % width, row = pixel / width;
+    pixel_ray(camera, static_cast<double>(column) + 0.5, static_cast<double>(row) + 0.5,
+              origins + 3 * r, directions + 3 * r);
     const uint8_t* photograph = pictures + 4 * (static_cast<int64_t>(camera[17]) + pixel);
     premultiply(photograph, targets + 4 * r);
   }
@@ -76,9 +76,9 @@ struct RowRay {
   float *origins, *directions;
   TT3D_HD void operator()(int64_t i) const {
     const auto width = static_cast<int64_t>(camera[16]);
-    pixel_ray(camera, static_cast<double>(i % width) + 0.5,
-              static_cast<double>(row_begin + i / width) + 0.5, origins + 3 * i,
-              directions + 3 * i);
+    const int64_t column = i % width, row = row_begin + i / width;
+    pixel_ray(camera, static_cast<double>(column) + 0.5, static_cast<double>(row) + 0.5,
+              origins + 3 * i, directions + 3 * i);
   }
 };
 

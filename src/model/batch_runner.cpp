@@ -122,7 +122,7 @@ at::Tensor BatchRunner::gradient(const Pictures& pictures, const at::Tensor& gra
   const at::AutoGradMode with_gradients(true);
   int64_t fitting = std::min(fitting_with_gradient_, graph_.max_batch);
   const int64_t total = pictures.images.size(0);
-  const at::Tensor result = in_parts(total, fitting, [&](int64_t start, int64_t end) -> at::Tensor {
+  at::Tensor result = in_parts(total, fitting, [&](int64_t start, int64_t end) -> at::Tensor {
     MemoryMeter meter(memory_budget(limit_), true);
     Pictures part = pictures.slice(start, end);
     part.images = part.images.detach().requires_grad_(true);

@@ -22,7 +22,7 @@ at::Tensor channel_tensor(const std::vector<double>& values) {
 }
 
 std::string describe(const ProbeReport& report) {
-  const std::string logits = fmt::format("logits off by {:.2g} of their range", report.logit_error);
+  std::string logits = fmt::format("logits off by {:.2g} of their range", report.logit_error);
   if (!report.gradients) return logits;
   return logits + fmt::format(", cosine of the input gradient {:.6f}, norm ratio {:.4f}",
                               report.gradient_cosine, report.gradient_ratio);
