@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "asset_source.h"
+#include "tt3d/input_files.h"
 
 namespace tt3d::asset {
 namespace fs = std::filesystem;
@@ -54,11 +55,10 @@ void check_mesh(const TexturedMesh& mesh, const fs::path& where) {
 }
 
 TexturedMesh load_asset(const fs::path& path, Progress* progress) {
-  const std::string extension = lower_case(path.extension().string());
-  if (extension != ".glb" && extension != ".gltf" && extension != ".obj") {
+  if (!has_extension(path, {".glb", ".gltf", ".obj"})) {
     throw InputError(path, "expected an asset with the extension .glb or .obj or .gltf");
   }
-  const AssetSource source = extension == ".obj" ? read_obj(path) : read_gltf(path);
+  const AssetSource source = has_extension(path, {".obj"}) ? read_obj(path) : read_gltf(path);
   TexturedMesh mesh = merge_materials(source);
   check_mesh(mesh, path);
   mesh.files.assign(source.files.begin(), source.files.end());

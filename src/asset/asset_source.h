@@ -67,8 +67,6 @@ inline constexpr uintmax_t kMaxPartBytes = uintmax_t{1} << 30;
 [[nodiscard]] std::string read_part(const std::filesystem::path& path,
                                     std::set<std::filesystem::path>& files);
 
-[[nodiscard]] std::string lower_case(std::string text);
-
 /// The file that an asset refers to, inside the asset's folder. If the reference leads elsewhere or
 /// to nothing, a file of the same name beside the asset is taken. Upper and lower case may differ
 /// if only one file fits. nullopt if there is no such file.

@@ -2,17 +2,13 @@
 
 #include "asset_source.h"
 #include "tt3d/core.h"
+#include "tt3d/input_files.h"
 
 /// The files that an asset refers to.
 namespace tt3d::asset {
 namespace fs = std::filesystem;
 
 namespace {
-
-std::string with_slashes(std::string reference) {
-  std::replace(reference.begin(), reference.end(), '\\', '/');
-  return reference;
-}
 
 /// True if a reference is empty, absolute, a web address, or leads to a parent folder.
 bool leads_out(const std::string& name) {
@@ -50,12 +46,6 @@ std::optional<fs::path> find_below(const fs::path& folder, const fs::path& relat
 
 }  // namespace
 
-std::string lower_case(std::string text) {
-  std::transform(text.begin(), text.end(), text.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return text;
-}
-
 std::string read_part(const fs::path& path, std::set<fs::path>& files) {
   std::error_code unknown;
   const uintmax_t bytes = fs::file_size(path, unknown);
@@ -69,7 +59,7 @@ std::string read_part(const fs::path& path, std::set<fs::path>& files) {
 }
 
 std::optional<fs::path> find_reference(const fs::path& asset, const std::string& reference) {
-  const std::string name = with_slashes(reference);
+  const std::string name = with_forward_slashes(reference);
   const fs::path folder = asset.parent_path();
   if (!leads_out(name)) {
     if (auto found = find_below(folder, fs::path(name).lexically_normal())) return found;
@@ -80,7 +70,7 @@ std::optional<fs::path> find_reference(const fs::path& asset, const std::string&
 
 fs::path resolve_reference(const fs::path& asset, const std::string& reference) {
   if (const auto found = find_reference(asset, reference)) return *found;
-  const std::string name = with_slashes(reference);
+  const std::string name = with_forward_slashes(reference);
   if (leads_out(name)) {
     throw InputError(asset, "refers to '" + reference +
                                 "', which leads out of its folder; put "

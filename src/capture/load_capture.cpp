@@ -71,8 +71,7 @@ void note_masks(const std::vector<RawView>& raw, const std::vector<LoadedView>& 
 std::vector<std::string> files_of(std::vector<std::string> files, const std::vector<RawView>& all) {
   for (const RawView& view : all) {
     for (const std::filesystem::path& path : {view.image, view.mask}) {
-      if (path.empty()) continue;
-      files.push_back(std::filesystem::absolute(path).lexically_normal().string());
+      if (!path.empty()) files.push_back(absolute_name(path));
     }
   }
   return files;

@@ -10,8 +10,6 @@ namespace {
 
 constexpr const char* kFolders[] = {"masks", "mask"};
 
-std::string without_extension(fs::path path) { return path.replace_extension().generic_string(); }
-
 /// `name` and all shorter paths at its end: images/a/b.jpg, a/b.jpg, b.jpg.
 std::vector<std::string> path_ends(const std::string& name) {
   std::vector<std::string> ends = {name};

@@ -68,6 +68,9 @@ struct CaptureSource {
 /// `path` for a message or a record of the run: absolute.
 [[nodiscard]] std::string absolute_name(const std::filesystem::path& path);
 
+/// `path` with '/' between names and without the extension of its last name.
+[[nodiscard]] std::string without_extension(std::filesystem::path path);
+
 /// `relative` (from a camera file) inside `folder`, with '/' or '\' between names; throws
 /// InputError if it is empty or leads out of the folder.
 [[nodiscard]] std::filesystem::path path_inside(const std::filesystem::path& folder,

@@ -75,6 +75,8 @@ std::string absolute_name(const fs::path& path) {
   return fs::absolute(path).lexically_normal().string();
 }
 
+std::string without_extension(fs::path path) { return path.replace_extension().generic_string(); }
+
 CaptureSource find_source(const CaptureOptions& options) {
   if (fs::is_regular_file(options.path)) return file_source(options);
   const fs::path& folder = options.path;

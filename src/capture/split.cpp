@@ -39,8 +39,6 @@ fs::path identity(const fs::path& path) {
   return error ? path : real;
 }
 
-std::string without_extension(fs::path path) { return path.replace_extension().generic_string(); }
-
 /// Finds the view that an entry of a list means.
 class ViewNames {
  public:

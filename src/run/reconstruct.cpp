@@ -102,9 +102,7 @@ void Run::run_mesh(Progress& progress) {
 void Run::import_asset(Progress& progress) {
   const fs::path& path = config_.asset.path;
   const asset::TexturedMesh& asset = assets_.load(path, &progress);
-  std::map<std::string, std::string> hashes;
-  for (const fs::path& file : asset.files) hashes[fs::absolute(file).string()] = sha256_file(file);
-  add_inputs(hashes);
+  add_inputs(asset.files);
   const scene::Normalization normalization = placement_of(asset, path).normalization;
   save_mesh_stage(object_of(asset, normalization), normalization, std::nullopt);
 }

@@ -202,26 +202,31 @@ void Run::run_stage(const Stage& stage, Progress& progress) {
 }
 
 void Run::check_inputs() const {
-  std::map<std::string, std::string> now;  // hash each file once
   for (const Stage& stage : stages()) {
     const auto record = std::find_if(finished_.begin(), finished_.end(),
                                      [&](const StageRecord& s) { return s.name == stage.name; });
     if (record == finished_.end() || !done(stage)) continue;
     for (const auto& [file, hash] : record->inputs) {
       if (!fs::exists(file)) continue;  // the stage is done and needs it no more
-      if (now.count(file) == 0) now[file] = sha256_file(file);
-      if (now[file] != hash) throw changed_input(file, stage.name);
+      if (hash_of(file) != hash) throw changed_input(file, stage.name);
     }
   }
 }
 
-void Run::add_inputs(const std::map<std::string, std::string>& hashes) {
+void Run::add_inputs(const std::vector<fs::path>& files) {
   if (!unfinished_) return;  // another run lends its mesh to a universal attack
-  for (const auto& [file, hash] : hashes) {
-    const auto [entry, is_new] = unfinished_->inputs.emplace(file, hash);
-    if (!is_new && entry->second != hash) throw changed_input(file, unfinished_->name);
+  for (const fs::path& path : files) {
+    const std::string file = fs::absolute(path).string();
+    const auto [entry, is_new] = unfinished_->inputs.emplace(file, hash_of(file));
+    if (!is_new && entry->second != hash_of(file)) throw changed_input(file, unfinished_->name);
   }
   save();
+}
+
+const std::string& Run::hash_of(const std::string& file) const {
+  const auto [entry, is_new] = hashes_.try_emplace(file);
+  if (is_new) entry->second = sha256_file(file);
+  return entry->second;
 }
 
 const capture::Capture& Run::photographs(Progress& progress) {
@@ -231,9 +236,7 @@ const capture::Capture& Run::photographs(Progress& progress) {
     photographs_ =
         std::make_shared<capture::Capture>(capture::load_capture(config_.capture, progress));
   }
-  std::map<std::string, std::string> hashes;
-  for (const std::string& file : photographs_->files) hashes[file] = sha256_file(file);
-  add_inputs(hashes);
+  add_inputs({photographs_->files.begin(), photographs_->files.end()});
   return *photographs_;
 }
 

@@ -85,7 +85,9 @@ void Run::load_surrogates(attack::AttackInput& input, Progress& progress) {
     cards.push_back(&model->card());
     model->check_gradients();
     input.classes.push_back(model::find_class(wanted, model->card()).index);
-    add_inputs({{fs::absolute(model->path()).string(), model->card().sha256}});
+    // Loading has compared the file with its card.
+    hashes_[fs::absolute(model->path()).string()] = model->card().sha256;
+    add_inputs({model->path()});
     input.surrogates.push_back(model);
   }
   model::check_same_class(wanted, cards, "the class of the objective");
@@ -200,10 +202,7 @@ void Run::run_evaluate(Progress& progress) {
   options.target = config_.attack.target;
   options.seed = config_.seed;
   options.device = device_;
-  for (const std::string& name : options.victims) {
-    const fs::path file = fs::absolute(model::find_model(name));
-    add_inputs({{file.string(), sha256_file(file)}});
-  }
+  for (const std::string& name : options.victims) add_inputs({model::find_model(name)});
   record::save(evaluate::evaluate_asset(options, assets_, progress),
                folder_ / "eval" / "builtin.json");
 }

@@ -78,9 +78,11 @@ class Run {
   void run_stage(const Stage& stage, Progress& progress);
   /// Throws InputError if a file that a finished stage has read is different now.
   void check_inputs() const;
-  /// Records files that the present stage reads, with their SHA-256. Throws InputError if the stage
-  /// was interrupted and a file has changed since.
-  void add_inputs(const std::map<std::string, std::string>& hashes);
+  /// Records files that the present stage reads, with their SHA-256, by absolute path. Throws
+  /// InputError if the stage was interrupted and a file has changed since.
+  void add_inputs(const std::vector<std::filesystem::path>& files);
+  /// SHA-256 of a file; computed once.
+  [[nodiscard]] const std::string& hash_of(const std::string& file) const;
   [[nodiscard]] bool from_asset() const { return !config_.asset.path.empty(); }
 
   const capture::Capture& photographs(Progress& progress);
@@ -108,6 +110,7 @@ class Run {
   RunConfig config_;
   at::Device device_ = at::kCPU;
   std::vector<record::StageRecord> finished_;
+  mutable std::map<std::string, std::string> hashes_;  ///< by file, as hash_of computed them
   std::optional<record::StageRecord> unfinished_;  ///< the present stage, or the interrupted one
   std::shared_ptr<capture::Capture> photographs_;
   asset::AssetFiles assets_;
