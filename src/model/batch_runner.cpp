@@ -53,8 +53,9 @@ struct LogitsInParts : torch::autograd::Function<LogitsInParts> {
 
 }  // namespace
 
-BatchRunner::BatchRunner(Graph graph, int64_t intermediate_bytes, Precision precision)
+BatchRunner::BatchRunner(Graph graph, int64_t intermediate_bytes, Precision precision, bool compile)
     : graph_(std::move(graph)),
+      plan_(compile ? compile_plan(graph_, precision, memory_budget(intermediate_bytes)) : nullptr),
       limit_(intermediate_bytes),
       precision_(precision),
       fitting_(graph_.max_batch),
@@ -176,26 +177,34 @@ at::Tensor BatchRunner::run(const Pictures& pictures, MemoryMeter& meter) {
   const AllocationLimit allocations(memory_budget(limit_));
   const int64_t count = pictures.images.size(0);
   const at::Tensor images = filled_up(pictures.images);
-  const PrecisionScope precision(precision_, images.device());
-  const Graph& graph = graph_on(images.device());
-  std::optional<FeatureMixer> mixer;
-  if (pictures.mix) {
-    mixer.emplace(*pictures.mix, pictures.first);
-    // Nothing of this run is kept for a backward pass, so it needs a meter of its own.
-    MemoryMeter passing(memory_budget(limit_), false);
-    const at::NoGradGuard none;
-    const int64_t first = pictures.first;
-    static_cast<void>(run_graph(
-        graph, filled_up(pictures.mix->images.slice(0, first, first + count)), passing, &*mixer));
-    mixer->begin_mixing();
-  }
-  at::Tensor logits = run_graph(graph, images, meter, mixer ? &*mixer : nullptr);
+  at::Tensor logits = plan_ != nullptr && images.is_cpu() && !pictures.mix
+                          ? plan_->logits(images, meter)
+                          : raw_logits(pictures, images, meter);
   if (logits.dim() == 3) logits = logits.amax(1);  // a detector: best score of each class
   if (logits.dim() != 2 || logits.size(0) != images.size(0) || logits.size(1) != graph_.classes ||
       !logits.is_floating_point()) {
     throw Malformed("the graph did not give logits [N,classes]");
   }
   return logits.to(at::kFloat).slice(0, 0, count);
+}
+
+/// The graph's result for `images`, which are those of `pictures`, filled up, step by step.
+at::Tensor BatchRunner::raw_logits(const Pictures& pictures, const at::Tensor& images,
+                                   MemoryMeter& meter) {
+  const PrecisionScope precision(precision_, images.device());
+  const Graph& graph = graph_on(images.device());
+  if (!pictures.mix) return run_graph(graph, images, meter);
+  FeatureMixer mixer(*pictures.mix, pictures.first);
+  {
+    // Nothing of this run is kept for a backward pass, so it needs a meter of its own.
+    MemoryMeter passing(memory_budget(limit_), false);
+    const at::NoGradGuard none;
+    const int64_t first = pictures.first, last = first + pictures.images.size(0);
+    static_cast<void>(
+        run_graph(graph, filled_up(pictures.mix->images.slice(0, first, last)), passing, &mixer));
+  }
+  mixer.begin_mixing();
+  return run_graph(graph, images, meter, &mixer);
 }
 
 /// The graph with its weights on `device`. Keeps the copy for the last device other than the CPU.

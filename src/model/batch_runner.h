@@ -10,6 +10,7 @@
 #include "graph.h"
 #include "memory.h"
 #include "pass_recorder.h"
+#include "plan.h"
 #include "tt3d/model.h"
 
 namespace tt3d::model {
@@ -29,12 +30,14 @@ struct Pictures {
 /// ones that do not fit in memory, run in parts. It remembers which sizes did not fit.
 class BatchRunner : public std::enable_shared_from_this<BatchRunner> {
  public:
-  BatchRunner(Graph graph, int64_t intermediate_bytes, Precision precision);
+  /// `compile`: runs on the CPU use a plan, if the graph has one.
+  BatchRunner(Graph graph, int64_t intermediate_bytes, Precision precision, bool compile);
 
   /// float32, N > 0, on any device; logits [N,classes] float32, differentiable if autograd is on.
   /// Throws Malformed, and ResourceError if not even one image fits.
   [[nodiscard]] at::Tensor logits(const Pictures& pictures);
   [[nodiscard]] const Graph& graph() const { return graph_; }
+  [[nodiscard]] const Plan* plan() const { return plan_.get(); }
   /// The graph of the last pass: on a GPU the copy there.
   [[nodiscard]] const Graph& used_graph() const { return moved_ ? *moved_ : graph_; }
 
@@ -51,9 +54,12 @@ class BatchRunner : public std::enable_shared_from_this<BatchRunner> {
   [[nodiscard]] at::Tensor in_parts(int64_t total, int64_t& fitting, const Part& part) const;
   [[nodiscard]] at::Tensor filled_up(const at::Tensor& images) const;
   [[nodiscard]] at::Tensor run(const Pictures& pictures, MemoryMeter& meter);
+  [[nodiscard]] at::Tensor raw_logits(const Pictures& pictures, const at::Tensor& images,
+                                      MemoryMeter& meter);
   [[nodiscard]] const Graph& graph_on(at::Device device);
 
   Graph graph_;
+  std::shared_ptr<const Plan> plan_;
   int64_t limit_;
   Precision precision_;
   /// The largest batches that may still fit.

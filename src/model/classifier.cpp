@@ -96,6 +96,7 @@ class Pt2Classifier final : public Classifier {
       digests += graph.names[static_cast<size_t>(slot)];
       digests += sha256({static_cast<const char*>(bytes.const_data_ptr()), bytes.nbytes()});
     }
+    if (runner_->plan() != nullptr && !runner_->plan()->weights_hold()) digests += "changed";
     return sha256(digests);
   }
 
@@ -192,7 +193,7 @@ std::pair<Graph, bool> prepare(const Package& package, const ModelOptions& optio
 std::shared_ptr<Pt2Classifier> build(const Package& package, const ModelOptions& options) {
   auto [graph, channels_last] = prepare(package, options);
   auto runner = std::make_shared<BatchRunner>(std::move(graph), package.limits.intermediate_bytes,
-                                              options.precision);
+                                              options.precision, options.compile && channels_last);
   return std::make_shared<Pt2Classifier>(package.path, package.card, std::move(runner),
                                          channels_last, options);
 }
@@ -206,17 +207,17 @@ std::shared_ptr<Classifier> load_checked(const Package& package, Progress* warn,
     warn->note(path.string() + ": its card has no probe, so its answers are not checked");
   }
   if (!report.present || model::probe_holds(report, options.precision)) return classifier;
-  if (!options.fold_batch_norm && !options.channels_last) {
+  if (!options.fold_batch_norm && !options.channels_last && !options.compile) {
     throw_probe(path, report, options.precision);
   }
   ModelOptions careful = options;
-  careful.fold_batch_norm = careful.channels_last = false;
+  careful.fold_batch_norm = careful.channels_last = careful.compile = false;
   const auto plain = build(package, careful);
   if (!model::probe_holds(plain->probe(), options.precision)) {
     throw_probe(path, plain->probe(), options.precision);
   }
   if (warn != nullptr) {
-    warn->note(path.string() + ": runs without batch-norm folding and channels-last, with which " +
+    warn->note(path.string() + ": runs without batch-norm folding, channels-last and compilation, with which " +
                describe(report));
   }
   return plain;

@@ -32,6 +32,7 @@ class MemoryMeter {
   /// Throws MemoryLimit for a view whose copy would exceed the limit: many operators make such a
   /// copy internally.
   void check_size(const at::Tensor& tensor) const;
+  [[nodiscard]] int64_t limit() const { return limit_; }
 
  private:
   int64_t limit_;

@@ -49,34 +49,22 @@ IValue as_type(const IValue& value, ValueType type) {
 bool is_convolution(const Step& step) { return step.target.starts_with("aten::conv"); }
 bool is_layer(const Step& step) { return is_convolution(step) || step.target == "aten::linear"; }
 
-/// The state of one run.
-class Run {
+}  // namespace
+
+class StepRunner::Run {
  public:
-  Run(const Graph& graph, const at::Tensor& images, MemoryMeter& meter, LayerTap* tap)
-      : graph_(graph),
-        device_(images.device()),
-        values_(graph.names.size()),
-        meter_(meter),
-        tap_(tap) {
+  Run(const Graph& graph, at::Device device, std::vector<IValue>& values, MemoryMeter& meter,
+      LayerTap* tap)
+      : device_(device), values_(values), meter_(meter), tap_(tap) {
+    values_.resize(graph.names.size());
     for (const auto& [slot, tensor] : graph.constants) {
       values_[static_cast<size_t>(slot)] = tensor;
       weight_memory_.insert(tensor.storage().unsafeGetStorageImpl());
     }
-    values_[static_cast<size_t>(graph.input)] = images;
     for (const Step& step : graph.steps) {
       if (is_layer(step)) last_layer_ = &step;
     }
   }
-
-  at::Tensor all() {
-    for (const Step& step : graph_.steps) run(step);
-    const IValue& logits = values_[static_cast<size_t>(graph_.output)];
-    if (!logits.isTensor()) throw Malformed("the output is not a tensor");
-    return logits.toTensor();
-  }
-
- private:
-  IValue& value(Slot slot) { return values_[static_cast<size_t>(slot)]; }
 
   void run(const Step& step) {
     try {
@@ -93,6 +81,9 @@ class Run {
       value(slot) = IValue();
     }
   }
+
+ private:
+  IValue& value(Slot slot) { return values_[static_cast<size_t>(slot)]; }
 
   static std::string first_line(const std::string& text) { return text.substr(0, text.find('\n')); }
 
@@ -209,9 +200,8 @@ class Run {
     if (!shared) meter_.add(tensor);
   }
 
-  const Graph& graph_;
   at::Device device_;
-  std::vector<IValue> values_;
+  std::vector<IValue>& values_;
   std::unordered_set<const c10::StorageImpl*> weight_memory_;
   MemoryMeter& meter_;
   LayerTap* tap_;
@@ -219,11 +209,23 @@ class Run {
   int64_t layer_ = 0;
 };
 
-}  // namespace
+StepRunner::StepRunner(const Graph& graph, at::Device device, std::vector<IValue>& values,
+                       MemoryMeter& meter, LayerTap* tap)
+    : run_(std::make_unique<Run>(graph, device, values, meter, tap)) {}
+
+StepRunner::~StepRunner() = default;
+
+void StepRunner::run(const Step& step) { run_->run(step); }
 
 at::Tensor run_graph(const Graph& graph, const at::Tensor& images, MemoryMeter& meter,
                      LayerTap* tap) {
-  return Run(graph, images, meter, tap).all();
+  std::vector<IValue> values;
+  StepRunner runner(graph, images.device(), values, meter, tap);
+  values[static_cast<size_t>(graph.input)] = images;
+  for (const Step& step : graph.steps) runner.run(step);
+  const IValue& logits = values[static_cast<size_t>(graph.output)];
+  if (!logits.isTensor()) throw Malformed("the output is not a tensor");
+  return logits.toTensor();
 }
 
 }  // namespace tt3d::model

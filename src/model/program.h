@@ -1,5 +1,8 @@
 #pragma once
 
+#include <memory>
+#include <vector>
+
 #include "graph.h"
 #include "memory.h"
 
@@ -14,6 +17,21 @@ class LayerTap {
   virtual ~LayerTap() = default;
   /// `features`: the result of convolution or linear layer number `layer`, [N,C,...] or [N,...,C].
   virtual at::Tensor take(int64_t layer, const at::Tensor& features, bool channels_first) = 0;
+};
+
+/// Runs single steps of a graph on values by slot. It puts the constants of `graph` into `values`.
+class StepRunner {
+ public:
+  StepRunner(const Graph& graph, at::Device device, std::vector<c10::IValue>& values,
+             MemoryMeter& meter, LayerTap* tap = nullptr);
+  ~StepRunner();
+  /// Runs the step through the ATen dispatcher, stores its results, and drops the values that no
+  /// later step reads. Throws as run_graph does.
+  void run(const Step& step);
+
+ private:
+  class Run;
+  std::unique_ptr<Run> run_;
 };
 
 /// Runs the steps of `graph` through the ATen dispatcher on normalised images [N,3,H,W], on any

@@ -9,11 +9,7 @@
 #include "operators.h"
 
 namespace tt3d::model {
-namespace {
 
-constexpr double kDefaultEpsilon = 1e-5;
-
-/// Number of reads of every slot; the graph's output counts as one.
 std::vector<int> count_reads(const Graph& graph) {
   std::vector<int> reads(graph.names.size(), 0);
   for (const Step& step : graph.steps) {
@@ -23,7 +19,6 @@ std::vector<int> count_reads(const Graph& graph) {
   return reads;
 }
 
-/// Index of an argument in the schema of a step, -1 if it has none of that name.
 int argument_index(const Step& step, const char* name) {
   const auto& arguments = step.op->schema().arguments();
   for (size_t i = 0; i < arguments.size(); ++i) {
@@ -36,15 +31,38 @@ const Input& argument(const Step& step, const char* name) {
   return step.inputs.at(static_cast<size_t>(argument_index(step, name)));
 }
 
+bool is_none(const Input& input) {
+  return input.kind == Input::Kind::kConstant && input.constant.isNone();
+}
+
+std::vector<int64_t> integers(const Input& input) {
+  if (input.kind == Input::Kind::kConstant && input.constant.isIntList()) {
+    return input.constant.toIntVector();
+  }
+  std::vector<int64_t> values;
+  for (const Input& item : input.items) {
+    if (item.kind != Input::Kind::kConstant || !item.constant.isInt()) return {};
+    values.push_back(item.constant.toInt());
+  }
+  return values;
+}
+
+bool writes_in_place(const Step& step) {
+  const auto& arguments = step.op->schema().arguments();
+  return std::any_of(arguments.begin(), arguments.end(), [](const c10::Argument& argument) {
+    return argument.alias_info() != nullptr && argument.alias_info()->isWrite();
+  });
+}
+
+namespace {
+
+constexpr double kDefaultEpsilon = 1e-5;
+
 /// The weight bound to an argument; undefined if the argument is None or not a weight.
 at::Tensor weight_of(const Graph& graph, const Input& input) {
   if (input.kind != Input::Kind::kSlot) return {};
   const auto found = graph.constants.find(input.slot);
   return found == graph.constants.end() ? at::Tensor() : found->second;
-}
-
-bool is_none(const Input& input) {
-  return input.kind == Input::Kind::kConstant && input.constant.isNone();
 }
 
 bool is_conv(const Step& step) {
@@ -152,19 +170,6 @@ void redirect(Graph& graph, const std::unordered_map<Slot, Slot>& moved) {
   resolve(graph.output);
 }
 
-/// A list of integers; empty if it is not one, or depends on the run.
-std::vector<int64_t> integers(const Input& input) {
-  if (input.kind == Input::Kind::kConstant && input.constant.isIntList()) {
-    return input.constant.toIntVector();
-  }
-  std::vector<int64_t> values;
-  for (const Input& item : input.items) {
-    if (item.kind != Input::Kind::kConstant || !item.constant.isInt()) return {};
-    values.push_back(item.constant.toInt());
-  }
-  return values;
-}
-
 /// True for padding with zeros.
 bool is_zero_padding(const Step& step) {
   const bool pads = step.target == "aten::constant_pad_nd" || step.target == "aten::pad";
@@ -201,16 +206,9 @@ void drop_unused_constants(Graph& graph) {
                 [&](const auto& item) { return reads[static_cast<size_t>(item.first)] == 0; });
 }
 
-bool writes(const Step& step) {
-  const auto& arguments = step.op->schema().arguments();
-  return std::any_of(arguments.begin(), arguments.end(), [](const c10::Argument& argument) {
-    return argument.alias_info() != nullptr && argument.alias_info()->isWrite();
-  });
-}
-
 bool returns_view(const Step& step) {
   const auto& arguments = step.op->schema().arguments();
-  return !writes(step) && std::any_of(arguments.begin(), arguments.end(), [](const auto& argument) {
+  return !writes_in_place(step) && std::any_of(arguments.begin(), arguments.end(), [](const auto& argument) {
     return argument.alias_info() != nullptr;
   });
 }
@@ -226,7 +224,7 @@ bool writes_through_views(const Graph& graph) {
     }
     bool through = false;
     for_each_read(step.inputs[0], [&](Slot slot) { through |= views.count(slot) != 0; });
-    if (through && writes(step)) return true;
+    if (through && writes_in_place(step)) return true;
   }
   return false;
 }

@@ -4,6 +4,23 @@
 
 namespace tt3d::model {
 
+/// Number of reads of every slot; the graph's output counts as one.
+[[nodiscard]] std::vector<int> count_reads(const Graph& graph);
+
+/// Index of an argument in the schema of a step, -1 if it has none of that name.
+[[nodiscard]] int argument_index(const Step& step, const char* name);
+
+/// Argument of that name, which the step's schema must have.
+[[nodiscard]] const Input& argument(const Step& step, const char* name);
+
+[[nodiscard]] bool is_none(const Input& input);
+
+/// A list of integers; empty if it is not one, or depends on the run.
+[[nodiscard]] std::vector<int64_t> integers(const Input& input);
+
+/// True if the operator writes into one of its arguments.
+[[nodiscard]] bool writes_in_place(const Step& step);
+
 /// Folds batch normalisations into the weight and bias of the convolution before them. The batch
 /// normalisation must directly follow the convolution and be the only user of its result. Weights
 /// of 2D convolutions get the memory format `format`. Returns the number folded.

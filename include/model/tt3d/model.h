@@ -28,6 +28,7 @@ enum class Precision {
 struct ModelOptions {
   bool fold_batch_norm = true;  ///< into the preceding convolution, else into a multiply-add
   bool channels_last = true;    ///< run convolutions channels-last if the graph allows it
+  bool compile = true;          ///< on the CPU, run convolutional networks as a compiled plan
   bool check_probe = true;      ///< compare with the card's probe
   /// Below float32 the probe's bounds are wider: docs/model.md, "Speed".
   Precision precision = Precision::kFloat32;
