@@ -1,7 +1,10 @@
 // Program of bench/models.py: loads a package. For every line on stdin it runs one forward and
 // backward pass and prints its seconds.
 //
-//   model_bench MODEL BATCH THREADS
+//   model_bench MODEL BATCH THREADS [plain|bf16]
+//
+//   plain   not compiled, step by step through torch's dispatcher
+//   bf16    compiled, in bfloat16
 
 #include <ATen/ATen.h>
 #include <ATen/Parallel.h>
@@ -25,9 +28,12 @@ double timed_pass(const tt3d::model::Classifier& model, const at::Tensor& images
   return tt3d::now_seconds() - start;
 }
 
-int serve(const std::string& name, int64_t batch, int threads) {
+int serve(const std::string& name, int64_t batch, int threads, const std::string& form) {
   at::set_num_threads(threads);
-  const auto model = tt3d::model::Classifier::load(name);
+  tt3d::model::ModelOptions options;
+  options.compile = form != "plain";
+  if (form == "bf16") options.precision = tt3d::model::Precision::kBfloat16;
+  const auto model = tt3d::model::Classifier::load(name, {}, nullptr, options);
   at::manual_seed(0);
   const at::Tensor images = at::rand({batch, 3, model->card().height, model->card().width});
   std::cout << "ready" << std::endl;
@@ -40,12 +46,12 @@ int serve(const std::string& name, int64_t batch, int threads) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 4) {
-    std::cerr << "usage: model_bench MODEL BATCH THREADS\n";
+  if (argc != 4 && argc != 5) {
+    std::cerr << "usage: model_bench MODEL BATCH THREADS [plain|bf16]\n";
     return 2;
   }
   try {
-    return serve(argv[1], std::atoll(argv[2]), std::atoi(argv[3]));
+    return serve(argv[1], std::atoll(argv[2]), std::atoi(argv[3]), argc == 5 ? argv[4] : "");
   } catch (const tt3d::Error& error) {
     std::cerr << error.what() << "\n";
     return error.exit_code();

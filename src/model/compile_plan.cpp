@@ -85,6 +85,9 @@ class Compiler {
         taken_(graph.steps.size(), false) {
     for (size_t i = 0; i < graph.steps.size(); ++i) {
       for_each_read(graph.steps[i], [&](Slot slot) { reader_[slot] = i; });
+      const auto& outputs = graph.steps[i].outputs;
+      const bool one = graph.steps[i].op && outputs.size() == 1 && outputs[0].slots.size() == 1;
+      if (one) giver_[outputs[0].slots[0]] = i;
     }
     find_gradients();
   }
@@ -145,10 +148,11 @@ class Compiler {
 
   void match(size_t i) {
     const Step& step = graph_.steps[i];
-    if (!step.op) return;
+    if (!step.op || step.outputs.size() != 1 || step.outputs[0].slots.size() != 1) return;
     Candidate made;
     size_t last = i;
     if (auto convolution = as_convolution(step)) {
+      take_padding(*convolution);
       made.output = convolution->output;
       made.reads = {convolution->input};
       taken_[i] = true;
@@ -275,6 +279,21 @@ class Compiler {
     const auto high = step.inputs[2].constant.isNone() ? kInfinity : number(2);
     if (!low || *low != 0 || !high || !(*high > 0)) return {};
     return Clamp{true, *high};
+  }
+
+  /// Takes the zero padding before the convolution, if nothing else reads its result.
+  void take_padding(ConvolutionSpec& convolution) {
+    const auto found = giver_.find(convolution.input);
+    if (found == giver_.end() || taken_[found->second]) return;
+    const Step& pad = graph_.steps[found->second];
+    if (!is_zero_padding(pad) || reads_[static_cast<size_t>(convolution.input)] != 1) return;
+    const Sizes around = integers(argument(pad, "pad"));
+    const Slot input = argument(pad, "self").slot;
+    const bool grows = std::all_of(around.begin(), around.end(), [](int64_t n) { return n >= 0; });
+    if (around.size() != 4 || !grows || !is_picture(input)) return;
+    convolution.around = around;
+    convolution.input = input;
+    taken_[found->second] = true;
   }
 
   /// Takes the sum that alone reads the convolution. The other term may come from anywhere before.
@@ -419,7 +438,7 @@ class Compiler {
   Precision precision_;
   std::unordered_map<Slot, Sizes> shapes_;
   std::vector<int> reads_;
-  std::unordered_map<Slot, size_t> reader_;
+  std::unordered_map<Slot, size_t> reader_, giver_;  ///< steps
   std::unordered_set<Slot> depends_;
   std::vector<std::optional<Candidate>> ends_;  ///< by last step
   std::vector<bool> taken_;                     ///< steps that belong to a candidate

@@ -234,8 +234,10 @@ std::optional<DepthwiseShape> depthwise_shape(const ConvolutionSpec& spec) {
   const at::Tensor& weight = spec.weight;
   const bool fits = spec.groups > 1 && weight.size(1) == 1 && weight.size(0) == spec.groups &&
                     weight.size(2) == weight.size(3) && spec.stride[0] == spec.stride[1] &&
-                    spec.padding[0] == spec.padding[1] && spec.dilation == Sizes{1, 1};
-  const DepthwiseShape shape{weight.size(0), weight.size(2), spec.stride[0], spec.padding[0]};
+                    spec.padding[0] == spec.padding[1] && spec.dilation == Sizes{1, 1} &&
+                    spec.around[0] == spec.around[2] && spec.around[1] == spec.around[3];
+  const DepthwiseShape shape{weight.size(0), weight.size(2), spec.stride[0],
+                             spec.padding[0] + spec.around[0], spec.padding[0] + spec.around[1]};
   return fits && has_depthwise_kernel(shape) ? std::optional(shape) : std::nullopt;
 }
 
@@ -300,7 +302,8 @@ class DenseNode final : public ConvolutionNode {
 
  protected:
   at::Tensor result(PlanPass& pass, const at::Tensor& x, Kept* kept) const override {
-    at::Tensor y = spec_.sum < 0 ? forward_.run(x, spec_.clamp) : with_sum(pass, x);
+    const at::Tensor in = padded(x);
+    at::Tensor y = spec_.sum < 0 ? forward_.run(in, spec_.clamp) : with_sum(pass, in);
     if (kept != nullptr && spec_.clamp.active) {
       y = in_plan_layout(y);
       kept->mask = slope_bits(y, spec_.clamp);
@@ -312,10 +315,21 @@ class DenseNode final : public ConvolutionNode {
                             const at::Tensor& mask) const override {
     static_cast<void>(mask);
     if (!gradient_) gradient_ = make_gradient();
-    return gradient_->run(gradient, input);
+    if (!pads()) return gradient_->run(gradient, input);
+    const Sizes& around = spec_.around;
+    const Sizes whole = {input[0], input[1], input[2] + around[2] + around[3],
+                         input[3] + around[0] + around[1]};
+    return gradient_->run(gradient, whole)
+        .slice(2, around[2], around[2] + input[2])
+        .slice(3, around[0], around[0] + input[3]);
   }
 
  private:
+  bool pads() const { return spec_.around != Sizes{0, 0, 0, 0}; }
+  at::Tensor padded(const at::Tensor& x) const {
+    return pads() ? in_plan_layout(at::constant_pad_nd(x, spec_.around)) : x;
+  }
+
   at::Tensor with_sum(PlanPass& pass, const at::Tensor& x) const {
     const at::Tensor sum = in_plan_layout(pass.value(spec_.sum).to(x.scalar_type()));
     const bool relu = !spec_.clamp.active || std::isinf(spec_.clamp.high);

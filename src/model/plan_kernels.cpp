@@ -131,7 +131,7 @@ at::Tensor new_bits(int64_t elements) {
 template <typename Storage, typename Sum>
 struct DepthwiseRow {
   int rows = 0, taps = 0;  ///< of the window
-  const Storage* in[7] = {};
+  const Storage* in[5] = {};
   const Sum* weight = nullptr;  ///< [rows][taps][channels]
   const Sum* bias = nullptr;    ///< [channels] or null
   int64_t channels = 0, in_width = 0, start = 0, step = 1;
@@ -232,7 +232,9 @@ TT3D_HD void convolve_lanes(const DepthwiseRow<Storage, Sum>& row, int64_t first
     const int64_t x = row.start + j * row.step;
 #pragma GCC unroll 8
     for (int k = 0; k < K; ++k) {
-      if (kChecks && (x + k < 0 || x + k >= row.in_width)) continue;
+      if constexpr (kChecks) {
+        if (x + k < 0 || x + k >= row.in_width) continue;
+      }
 #pragma GCC unroll 8
       for (int r = 0; r < R; ++r) {
         Vector in;
@@ -260,31 +262,26 @@ TT3D_HD void convolve_window(const DepthwiseRow<Storage, Sum>& row) {
   }
 }
 
-/// The windows of one kernel differ by at most one: 3 by 3, or with stride 2 its parts of 1 and 2.
-template <int kVectorBytes, int R, typename Storage, typename Sum>
-TT3D_HD void convolve_rows(const DepthwiseRow<Storage, Sum>& row) {
-  if (row.taps == R - 1) convolve_window<kVectorBytes, R, R - 1>(row);
-  if (row.taps == R) convolve_window<kVectorBytes, R, R>(row);
-  if (row.taps == R + 1) convolve_window<kVectorBytes, R, R + 1>(row);
-}
-
+/// The windows of kernels of 3 and 5: the whole, and with stride 2 its parts of 1, 2 and 3.
 template <int kVectorBytes, typename Storage, typename Sum>
 TT3D_HD void convolve_row(const DepthwiseRow<Storage, Sum>& row) {
-  switch (row.rows) {
-    case 1:
-      if (row.taps == 1) return convolve_window<kVectorBytes, 1, 1>(row);
+  switch (row.rows * 10 + row.taps) {
+    case 11:
+      return convolve_window<kVectorBytes, 1, 1>(row);
+    case 12:
       return convolve_window<kVectorBytes, 1, 2>(row);
-    case 2:
-      return convolve_rows<kVectorBytes, 2>(row);
-    case 3:
-      return convolve_rows<kVectorBytes, 3>(row);
-    case 4:
-      if (row.taps == 3) return convolve_window<kVectorBytes, 4, 3>(row);
-      return convolve_window<kVectorBytes, 4, 4>(row);
-    case 5:
-      return convolve_window<kVectorBytes, 5, 5>(row);
+    case 21:
+      return convolve_window<kVectorBytes, 2, 1>(row);
+    case 22:
+      return convolve_window<kVectorBytes, 2, 2>(row);
+    case 23:
+      return convolve_window<kVectorBytes, 2, 3>(row);
+    case 32:
+      return convolve_window<kVectorBytes, 3, 2>(row);
+    case 33:
+      return convolve_window<kVectorBytes, 3, 3>(row);
     default:
-      return convolve_window<kVectorBytes, 7, 7>(row);
+      return convolve_window<kVectorBytes, 5, 5>(row);
   }
 }
 
@@ -293,7 +290,7 @@ TT3D_HD void convolve_row(const DepthwiseRow<Storage, Sum>& row) {
     convolve_row<bytes>(row);                                                       \
   }
 TT3D_FOR_EACH_CPU(TT3D_ROW, float)
-TT3D_FOR_EACH_CPU(TT3D_ROW, double)
+TT3D_ROW(, 16, double)  // for tests
 TT3D_FOR_EACH_CPU(TT3D_ROW, at::BFloat16)
 #undef TT3D_ROW
 
@@ -357,9 +354,9 @@ void apply_bits(const at::Tensor& gradient, const at::Tensor& bits) {
 }
 
 bool has_depthwise_kernel(const DepthwiseShape& shape) {
-  const bool kernel = shape.kernel == 3 || shape.kernel == 5 || shape.kernel == 7;
+  const bool kernel = shape.kernel == 3 || shape.kernel == 5;
   return kernel && (shape.stride == 1 || shape.stride == 2) && shape.padding >= 0 &&
-         shape.padding < shape.kernel && shape.channels % kBlock == 0;
+         shape.padding < shape.kernel && shape.padding_after >= 0 && shape.channels % kBlock == 0;
 }
 
 Depthwise::Depthwise(const DepthwiseShape& shape, const at::Tensor& weight, const at::Tensor& bias,
@@ -380,7 +377,7 @@ bool Depthwise::holds(const at::Tensor& weight, const at::Tensor& bias) const {
 at::Tensor Depthwise::forward(const at::Tensor& x, const Clamp& clamp, at::Tensor* bits) const {
   const int64_t in_height = x.size(2), in_width = x.size(3), channels = shape_.channels;
   const auto size = [&](int64_t in) {
-    return (in + 2 * shape_.padding - shape_.kernel) / shape_.stride + 1;
+    return (in + shape_.padding + shape_.padding_after - shape_.kernel) / shape_.stride + 1;
   };
   const int64_t height = size(in_height), width = size(in_width);
   at::Tensor y = new_result(x, channels, height, width);

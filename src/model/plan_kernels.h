@@ -24,10 +24,12 @@ void apply_bits(const at::Tensor& gradient, const at::Tensor& bits);
 
 /// A depthwise convolution with square kernel, equal strides, zero padding and no dilation.
 struct DepthwiseShape {
-  int64_t channels = 0, kernel = 0, stride = 1, padding = 0;
+  int64_t channels = 0, kernel = 0, stride = 1;
+  int64_t padding = 0;        ///< left and above
+  int64_t padding_after = 0;  ///< right and below
 };
 
-/// True for the shapes that the kernels are made for: kernels of 3, 5 and 7, strides 1 and 2,
+/// True for the shapes that the kernels are made for: kernels of 3 and 5, strides 1 and 2,
 /// channels a multiple of 16.
 [[nodiscard]] bool has_depthwise_kernel(const DepthwiseShape& shape);
 

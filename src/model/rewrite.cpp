@@ -54,6 +54,19 @@ bool writes_in_place(const Step& step) {
   });
 }
 
+bool is_zero_padding(const Step& step) {
+  const bool pads = step.target == "aten::constant_pad_nd" || step.target == "aten::pad";
+  if (!pads || argument(step, "self").kind != Input::Kind::kSlot) return false;
+  if (step.target == "aten::pad") {
+    const Input& mode = argument(step, "mode");
+    if (!mode.constant.isString() || mode.constant.toStringRef() != "constant") return false;
+  }
+  const Input& value = argument(step, "value");
+  if (value.kind != Input::Kind::kConstant) return false;
+  return value.constant.isNone() ||
+         (value.constant.isScalar() && value.constant.toScalar().toDouble() == 0);
+}
+
 namespace {
 
 constexpr double kDefaultEpsilon = 1e-5;
@@ -168,20 +181,6 @@ void redirect(Graph& graph, const std::unordered_map<Slot, Slot>& moved) {
     for (Input& input : step.inputs) visit(input, visit);
   }
   resolve(graph.output);
-}
-
-/// True for padding with zeros.
-bool is_zero_padding(const Step& step) {
-  const bool pads = step.target == "aten::constant_pad_nd" || step.target == "aten::pad";
-  if (!pads || argument(step, "self").kind != Input::Kind::kSlot) return false;
-  if (step.target == "aten::pad") {
-    const Input& mode = argument(step, "mode");
-    if (!mode.constant.isString() || mode.constant.toStringRef() != "constant") return false;
-  }
-  const Input& value = argument(step, "value");
-  if (value.kind != Input::Kind::kConstant) return false;
-  return value.constant.isNone() ||
-         (value.constant.isScalar() && value.constant.toScalar().toDouble() == 0);
 }
 
 /// Adds pad (left, right, top, bottom) to the convolution's own padding; false if it is not

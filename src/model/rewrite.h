@@ -18,6 +18,9 @@ namespace tt3d::model {
 /// A list of integers; empty if it is not one, or depends on the run.
 [[nodiscard]] std::vector<int64_t> integers(const Input& input);
 
+/// True for padding with zeros.
+[[nodiscard]] bool is_zero_padding(const Step& step);
+
 /// True if the operator writes into one of its arguments.
 [[nodiscard]] bool writes_in_place(const Step& step);
 
