@@ -27,7 +27,7 @@ struct ModelArguments {
   std::vector<std::string> images;
   int top = 5;
   int batch = 8;
-  bool no_fold = false, no_channels_last = false, no_probe = false;
+  bool no_fold = false, no_channels_last = false, no_compile = false, no_probe = false;
   model::Precision precision = model::Precision::kFloat32;
 };
 
@@ -42,6 +42,7 @@ std::shared_ptr<model::Classifier> load(const ModelArguments& arguments, const C
   model::ModelOptions options;
   options.fold_batch_norm = !arguments.no_fold;
   options.channels_last = !arguments.no_channels_last;
+  options.compile = !arguments.no_compile;
   options.check_probe = !arguments.no_probe;
   options.precision = arguments.precision;
   Warnings warnings;
@@ -258,7 +259,9 @@ void add_speed_options(CLI::App& command, ModelArguments& arguments) {
   command.add_flag("--no-fold", arguments.no_fold,
                    "do not fold batch normalisation into convolutions");
   command.add_flag("--no-channels-last", arguments.no_channels_last,
-                   "keep the channels-first layout");
+                   "keep the channels-first layout; implies --no-compile");
+  command.add_flag("--no-compile", arguments.no_compile,
+                   "run the graph step by step, not as a compiled plan");
   static const std::map<std::string, model::Precision> names = {
       {"float32", model::Precision::kFloat32},
       {"bf16", model::Precision::kBfloat16},

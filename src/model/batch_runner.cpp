@@ -59,7 +59,9 @@ BatchRunner::BatchRunner(Graph graph, int64_t intermediate_bytes, Precision prec
       limit_(intermediate_bytes),
       precision_(precision),
       fitting_(graph_.max_batch),
-      fitting_with_gradient_(std::numeric_limits<int64_t>::max()) {}
+      fitting_with_gradient_(std::numeric_limits<int64_t>::max()) {
+  if (plan_ == nullptr && precision == Precision::kBfloat16) use_bfloat16_weights(graph_);
+}
 
 at::Tensor BatchRunner::logits(const Pictures& pictures) {
   const int64_t total = pictures.images.size(0);
@@ -215,6 +217,7 @@ const Graph& BatchRunner::graph_on(at::Device device) {
     moved_ = graph_;
     moved_device_ = device;
     for (auto& [slot, tensor] : moved_->constants) tensor = tensor.to(device);
+    if (precision_ == Precision::kBfloat16) use_bfloat16_weights(*moved_);
   }
   return *moved_;
 }

@@ -184,7 +184,6 @@ std::pair<Graph, bool> prepare(const Package& package, const ModelOptions& optio
     model::simplify_batch_norms(graph);
   }
   if (channels_last) model::use_channels_last(graph);
-  if (options.precision == Precision::kBfloat16) model::use_bfloat16_weights(graph);
   model::find_last_uses(graph);
   return {std::move(graph), channels_last};
 }

@@ -10,7 +10,6 @@
 #include "malformed.h"
 #include "operators.h"
 #include "plan_nodes.h"
-#include "precision.h"
 #include "rewrite.h"
 
 namespace tt3d::model {
@@ -19,11 +18,9 @@ namespace {
 using Sizes = std::vector<int64_t>;
 
 /// Shapes of all float values, found by running the smallest batch; empty if that fails.
-std::unordered_map<Slot, Sizes> find_shapes(const Graph& graph, Precision precision,
-                                            int64_t memory) {
+std::unordered_map<Slot, Sizes> find_shapes(const Graph& graph, int64_t memory) {
   std::unordered_map<Slot, Sizes> shapes;
   const at::NoGradGuard none;
-  const PrecisionScope scope(precision, at::kCPU);
   std::vector<c10::IValue> values;
   MemoryMeter meter(memory, false);
   const auto note = [&](Slot slot) {
@@ -79,7 +76,7 @@ class Compiler {
   Compiler(const Graph& graph, Precision precision, int64_t memory)
       : graph_(graph),
         precision_(precision),
-        shapes_(find_shapes(graph, precision, memory)),
+        shapes_(find_shapes(graph, memory)),
         reads_(count_reads(graph)),
         ends_(graph.steps.size()),
         taken_(graph.steps.size(), false) {
@@ -200,16 +197,13 @@ class Compiler {
       return {};
     }
     for (const at::Tensor& tensor : {spec.weight, spec.bias}) {
-      if (tensor.defined() && tensor.scalar_type() != number_type()) return {};
+      if (tensor.defined() && tensor.scalar_type() != at::kFloat) return {};
     }
     spec.groups = groups.constant.toInt();
+    if (precision_ == Precision::kBfloat16) spec.gradient_type = at::kBFloat16;
     spec.input = input.slot;
     spec.input_has_gradient = has_gradient(input.slot);
     return spec;
-  }
-
-  at::ScalarType number_type() const {
-    return precision_ == Precision::kBfloat16 ? at::kBFloat16 : at::kFloat;
   }
 
   static Sizes two(const Input& input) {
@@ -405,7 +399,7 @@ class Compiler {
       }
     }
     release_inside(steps, {gives.begin(), gives.end()}, inside);
-    return dispatched_node(std::move(steps), std::move(reads), std::move(gives), precision_);
+    return dispatched_node(std::move(steps), std::move(reads), std::move(gives));
   }
 
   /// Drops values that only these steps read after the last of them.

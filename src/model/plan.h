@@ -99,8 +99,9 @@ class Plan : public std::enable_shared_from_this<Plan> {
 };
 
 /// Compiles the graph; null if that brings nothing (few convolutions) or the graph writes into its
-/// values in ways that the plan does not follow. `graph` has channels-last weights, for bfloat16
-/// those of use_bfloat16_weights. `memory`: limit in bytes for the results of one small batch, which
+/// values in ways that the plan does not follow. `graph` has channels-last float32 weights. With
+/// bfloat16 the forward pass stays in float32, and the gradient's products are in bfloat16: rounding in
+/// the forward pass would switch activations, which changes the gradient far more. `memory`: limit in bytes for the results of one small batch, which
 /// is run to learn their shapes.
 [[nodiscard]] std::shared_ptr<const Plan> compile_plan(const Graph& graph, Precision precision,
                                                        int64_t memory);

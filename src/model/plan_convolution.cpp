@@ -87,13 +87,16 @@ class Packed {
 
 /// Weights of the convolution that is the gradient of a convolution with stride 1: input and output
 /// channels of each group exchanged, the window turned by 180 degrees.
-at::Tensor turned(const at::Tensor& weight, int64_t groups) {
+at::Tensor turned(const ConvolutionSpec& spec) {
+  const at::Tensor& weight = spec.weight;
+  const int64_t groups = spec.groups;
   const int64_t out = weight.size(0) / groups, in = weight.size(1);
   const int64_t height = weight.size(2), width = weight.size(3);
   return weight.view({groups, out, in, height, width})
       .transpose(1, 2)
       .flip({3, 4})
       .reshape({groups * in, out, height, width})
+      .to(spec.gradient_type)
       .contiguous(at::MemoryFormat::ChannelsLast);
 }
 
@@ -110,7 +113,7 @@ class ConvolutionGradient {
 class UnitStrideGradient final : public ConvolutionGradient {
  public:
   explicit UnitStrideGradient(const ConvolutionSpec& spec)
-      : packed_(turned(spec.weight, spec.groups), {}, {1, 1}, outer(spec), spec.dilation,
+      : packed_(turned(spec), {}, {1, 1}, outer(spec), spec.dilation,
                 spec.groups) {}
   static Sizes outer(const ConvolutionSpec& spec) {
     Sizes padding;
@@ -129,7 +132,7 @@ class UnitStrideGradient final : public ConvolutionGradient {
     return packed_.run(gradient, {});
   }
   bool holds(const ConvolutionSpec& spec) const override {
-    return packed_.holds(turned(spec.weight, spec.groups));
+    return packed_.holds(turned(spec));
   }
 
  private:
@@ -140,7 +143,7 @@ class UnitStrideGradient final : public ConvolutionGradient {
 class SkippingGradient final : public ConvolutionGradient {
  public:
   explicit SkippingGradient(const ConvolutionSpec& spec)
-      : packed_(turned(spec.weight, spec.groups), {}, {1, 1}, {0, 0}, {1, 1}, spec.groups),
+      : packed_(turned(spec), {}, {1, 1}, {0, 0}, {1, 1}, spec.groups),
         stride_(spec.stride) {}
   static bool fits(const ConvolutionSpec& spec) {
     return spec.weight.size(2) == 1 && spec.weight.size(3) == 1 && spec.padding == Sizes{0, 0};
@@ -153,7 +156,7 @@ class SkippingGradient final : public ConvolutionGradient {
     return result;
   }
   bool holds(const ConvolutionSpec& spec) const override {
-    return packed_.holds(turned(spec.weight, spec.groups));
+    return packed_.holds(turned(spec));
   }
 
  private:
@@ -199,6 +202,7 @@ class ResidueGradient final : public ConvolutionGradient {
         .permute({1, 3, 5, 0, 2, 4})
         .flip({4, 5})
         .reshape({in * s * s, out, taps, taps})
+        .to(spec.gradient_type)
         .contiguous(at::MemoryFormat::ChannelsLast);
   }
   static Packed pack(const ConvolutionSpec& spec) {
@@ -214,20 +218,21 @@ class ResidueGradient final : public ConvolutionGradient {
 /// Any other stride: oneDNN's transposed convolution.
 class StridedGradient final : public ConvolutionGradient {
  public:
-  explicit StridedGradient(const ConvolutionSpec& spec) : spec_(spec) {}
+  explicit StridedGradient(const ConvolutionSpec& spec)
+      : spec_(spec), weight_(spec.weight.to(spec.gradient_type)) {}
   at::Tensor run(const at::Tensor& gradient, const Sizes& input) override {
     return std::get<0>(at::convolution_backward(
         gradient, at::empty(input, gradient.options(), at::MemoryFormat::ChannelsLast),
-        spec_.weight, at::nullopt, spec_.stride, spec_.padding, spec_.dilation, false, {0, 0},
+        weight_, at::nullopt, spec_.stride, spec_.padding, spec_.dilation, false, {0, 0},
         spec_.groups, {true, false, false}));
   }
   bool holds(const ConvolutionSpec& spec) const override {
-    static_cast<void>(spec);
-    return true;
+    return weight_.equal(spec.weight.to(spec.gradient_type));
   }
 
  private:
   ConvolutionSpec spec_;
+  at::Tensor weight_;
 };
 
 std::optional<DepthwiseShape> depthwise_shape(const ConvolutionSpec& spec) {
@@ -247,7 +252,7 @@ class ConvolutionNode : public PlanNode {
   explicit ConvolutionNode(ConvolutionSpec spec) : spec_(std::move(spec)) {}
 
   void forward(PlanPass& pass, size_t index) const final {
-    const at::Tensor x = in_plan_layout(pass.value(spec_.input).to(spec_.weight.scalar_type()));
+    const at::Tensor x = in_plan_layout(pass.value(spec_.input));
     try {
       pass.set(spec_.output, result(pass, x, pass.keeps() ? &pass.kept(index) : nullptr));
     } catch (const c10::Error& error) {
@@ -265,7 +270,7 @@ class ConvolutionNode : public PlanNode {
   void backward(PlanPass& pass, size_t index) const final {
     at::Tensor gradient = pass.take_gradient(spec_.output);
     if (!gradient.defined()) return;
-    gradient = in_plan_layout(gradient.to(spec_.weight.scalar_type()));
+    gradient = in_plan_layout(gradient.to(spec_.gradient_type));
     const Kept& kept = pass.kept(index);
     if (spec_.clamp.active && !spec_.masked_by_reader) {
       gradient = own(std::move(gradient));
@@ -331,7 +336,7 @@ class DenseNode final : public ConvolutionNode {
   }
 
   at::Tensor with_sum(PlanPass& pass, const at::Tensor& x) const {
-    const at::Tensor sum = in_plan_layout(pass.value(spec_.sum).to(x.scalar_type()));
+    const at::Tensor sum = in_plan_layout(pass.value(spec_.sum));
     const bool relu = !spec_.clamp.active || std::isinf(spec_.clamp.high);
     if (relu && !sum.is_same(x)) return forward_.run_and_add(x, sum, spec_.clamp);
     at::Tensor y = forward_.run(x, {}).add_(sum);

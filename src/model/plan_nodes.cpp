@@ -3,8 +3,6 @@
 #include <ATen/ATen.h>
 #include <torch/csrc/autograd/autograd.h>
 
-#include "precision.h"
-
 namespace tt3d::model {
 namespace {
 
@@ -54,9 +52,7 @@ class AffineNode final : public ClampedNode {
  protected:
   at::Tensor result(PlanPass& pass) const override {
     const at::Tensor& x = pass.value(spec_.input);
-    return spec_.scale.defined() ? at::addcmul(spec_.shift.to(x.scalar_type()), x,
-                                               spec_.scale.to(x.scalar_type()))
-                                 : x.clone();
+    return spec_.scale.defined() ? at::addcmul(spec_.shift, x, spec_.scale) : x.clone();
   }
   void spread(PlanPass& pass, at::Tensor gradient) const override {
     if (spec_.scale.defined()) {
@@ -75,8 +71,7 @@ class SumNode final : public ClampedNode {
 
  protected:
   at::Tensor result(PlanPass& pass) const override {
-    const at::Tensor& a = pass.value(spec_.a);
-    return at::add(a, pass.value(spec_.b).to(a.scalar_type()));
+    return at::add(pass.value(spec_.a), pass.value(spec_.b));
   }
   void spread(PlanPass& pass, at::Tensor gradient) const override {
     if (spec_.a_has_gradient) pass.add_gradient(spec_.a, gradient);
@@ -89,15 +84,13 @@ class SumNode final : public ClampedNode {
 
 class DispatchedNode final : public PlanNode {
  public:
-  DispatchedNode(std::vector<Step> steps, std::vector<Slot> in, std::vector<Slot> out,
-                 Precision precision)
-      : steps_(std::move(steps)), precision_(precision) {
+  DispatchedNode(std::vector<Step> steps, std::vector<Slot> in, std::vector<Slot> out)
+      : steps_(std::move(steps)) {
     reads = std::move(in);
     gives = std::move(out);
   }
 
   void forward(PlanPass& pass, size_t index) const override {
-    const PrecisionScope precision(precision_, at::kCPU);
     std::vector<at::Tensor> inputs, before;
     for (const Slot slot : reads) {
       before.push_back(pass.is_tensor(slot) ? pass.value(slot) : at::Tensor());
@@ -146,21 +139,17 @@ class DispatchedNode final : public PlanNode {
   }
 
  private:
-  /// Makes a value ready for the steps: bfloat16 becomes float32, and what has a gradient becomes a
-  /// leaf of autograd's graph. Returns the leaf, undefined if it has no gradient.
+  /// Makes a value a leaf of autograd's graph if a backward pass follows. Returns the leaf, undefined
+  /// if there is none.
   static at::Tensor prepare(PlanPass& pass, Slot slot) {
     if (!pass.is_tensor(slot)) return {};
-    at::Tensor value = pass.value(slot);
-    if (!value.is_floating_point()) return {};
-    if (value.scalar_type() == at::kBFloat16) value = value.to(at::kFloat);
-    value = value.detach();
-    if (pass.keeps()) value.requires_grad_(true);
-    pass.replace(slot, value);
-    return pass.keeps() ? value : at::Tensor();
+    if (!pass.keeps() || !pass.value(slot).is_floating_point()) return {};
+    const at::Tensor leaf = pass.value(slot).detach().requires_grad_(true);
+    pass.replace(slot, leaf);
+    return leaf;
   }
 
   std::vector<Step> steps_;
-  Precision precision_;
 };
 
 }  // namespace
@@ -174,9 +163,8 @@ std::unique_ptr<PlanNode> sum_node(SumSpec spec) {
 }
 
 std::unique_ptr<PlanNode> dispatched_node(std::vector<Step> steps, std::vector<Slot> reads,
-                                          std::vector<Slot> gives, Precision precision) {
-  return std::make_unique<DispatchedNode>(std::move(steps), std::move(reads), std::move(gives),
-                                          precision);
+                                          std::vector<Slot> gives) {
+  return std::make_unique<DispatchedNode>(std::move(steps), std::move(reads), std::move(gives));
 }
 
 }  // namespace tt3d::model

@@ -22,6 +22,7 @@ struct ConvolutionSpec {
   Clamp clamp;
   /// Node whose activation gave the input, if this node alone reads it: its mask is applied here.
   int input_mask = -1;
+  at::ScalarType gradient_type = at::kFloat;  ///< of the gradient's products and results
   bool masked_by_reader = false;  ///< the mask of this node's clamp is applied by its reader
 };
 
@@ -49,7 +50,6 @@ struct SumSpec {
 /// Steps that run through the dispatcher, recorded by autograd if a backward pass follows.
 [[nodiscard]] std::unique_ptr<PlanNode> dispatched_node(std::vector<Step> steps,
                                                         std::vector<Slot> reads,
-                                                        std::vector<Slot> gives,
-                                                        Precision precision);
+                                                        std::vector<Slot> gives);
 
 }  // namespace tt3d::model
