@@ -18,52 +18,91 @@ using SumOf = std::conditional_t<std::is_same_v<Storage, double>, double, float>
 
 constexpr int64_t kBlock = 16;  ///< channels of a block; its bits fill a uint16
 
+/// Vectors of a number of bytes; nested, because GCC drops the size of a vector otherwise.
+template <int kBytes>
+struct VectorOf {
+  template <typename T>
+  struct Of {
+    typedef T Type __attribute__((vector_size(kBytes), aligned(sizeof(T)), may_alias));
+  };
+};
+
+template <typename Vector, typename T>
+TT3D_HD const Vector& lanes_at(const T* numbers) {
+  return *reinterpret_cast<const Vector*>(numbers);
+}
+
 // ---- Masks --------------------------------------------------------------------------------
 
 /// Elements of a chunk of a mask: one task.
 constexpr int64_t kChunk = 1 << 15;
 
-/// Sets bytes of `bits` for `blocks` blocks. Positive floats keep their order as integers, and
-/// negative ones are negative, so 0 < value < high is a comparison of integers; `high` is exclusive.
+/// Numbers beside each other, as many as a vector of `kVectorBytes` has floats.
+template <int kVectorBytes, typename Number>
+using FloatLanes =
+    typename VectorOf<kVectorBytes / 4 * static_cast<int>(sizeof(Number))>::template Of<Number>::Type;
+
+/// Sets the bits of blocks. Positive floats keep their order as integers, and negative ones are
+/// negative, so 0 < value < high is a comparison of integers; without a sign it is a single one.
 template <typename Integer>
 TT3D_HD void set_bits(const Integer* values, int64_t blocks, Integer high, uint16_t* bits) {
-  for (int64_t b = 0; b < blocks; ++b) {
-    alignas(8) uint8_t flags[kBlock];
-    for (int64_t i = 0; i < kBlock; ++i) {
-      const Integer value = values[b * kBlock + i];
-      flags[i] = static_cast<uint8_t>(value > 0 && value < high);
+  using Natural = std::make_unsigned_t<Integer>;
+  const auto limit = static_cast<Natural>(high - 1);
+  constexpr int64_t kGroup = 64;  // blocks
+  alignas(64) uint8_t flags[kGroup * kBlock];
+  for (int64_t first = 0; first < blocks; first += kGroup) {
+    const int64_t count = blocks - first < kGroup ? blocks - first : kGroup;
+    const Integer* from = values + first * kBlock;
+    for (int64_t i = 0; i < count * kBlock; ++i) {
+      flags[i] = static_cast<uint8_t>(static_cast<Natural>(static_cast<Natural>(from[i]) - 1) < limit);
     }
-    // Gathers the lowest bit of each byte: the product puts them side by side in the top byte.
-    uint64_t halves[2];
-    std::memcpy(halves, flags, sizeof(halves));
-    const auto packed = [](uint64_t bytes) { return (bytes * 0x0102040810204080ULL) >> 56; };
-    bits[b] = static_cast<uint16_t>(packed(halves[0]) | packed(halves[1]) << 8);
+    for (int64_t b = 0; b < count; ++b) {
+      uint64_t halves[2];
+      std::memcpy(halves, flags + b * kBlock, sizeof(halves));
+      // Gathers the lowest bit of each byte: the product puts them side by side in the top byte.
+      constexpr uint64_t kGather = 0x0102040810204080ULL;
+      const uint64_t low = (halves[0] * kGather) >> 56, top = (halves[1] * kGather) >> 56;
+      bits[first + b] = static_cast<uint16_t>(low | top << 8);
+    }
   }
 }
 
-template <typename Integer>
+/// Sets the lanes whose bit is not set to zero; `first`: index of lane 0 in its block.
+template <typename Lanes, typename Integer, int kLanes, typename Value>
+TT3D_HD void clear_lanes(Value& value, uint16_t word, int64_t first) {
+  Lanes bit;
+  for (int i = 0; i < kLanes; ++i) bit[i] = static_cast<Integer>(1LL << i);
+  const Lanes all = Lanes{} + static_cast<Integer>(word >> first);
+  value = (all & bit) != 0 ? value : Value{};
+}
+
+template <int kVectorBytes, typename Integer>
 TT3D_HD void clear_unset(Integer* values, int64_t blocks, const uint16_t* bits) {
+  constexpr int kLanes = kVectorBytes / 4;
+  using Lanes = FloatLanes<kVectorBytes, Integer>;
   for (int64_t b = 0; b < blocks; ++b) {
-    const auto word = static_cast<Integer>(bits[b]);
-    for (int i = 0; i < kBlock; ++i) {
-      const auto bit = static_cast<Integer>(Integer{1} << i);
-      values[b * kBlock + i] = (word & bit) != 0 ? values[b * kBlock + i] : Integer{0};
+    for (int i = 0; i < kBlock; i += kLanes) {
+      clear_lanes<Lanes, Integer, kLanes>(*reinterpret_cast<Lanes*>(values + b * kBlock + i), bits[b], i);
     }
   }
 }
 
-// Macros, because target_clones does not apply to templates.
-#define TT3D_MASK_LOOPS(Integer)                                                          \
+#define TT3D_SET(Integer)                                                                       \
   TT3D_CPU_LOOP void set(const Integer* values, int64_t blocks, Integer high, uint16_t* bits) { \
-    set_bits(values, blocks, high, bits);                                                 \
-  }                                                                                       \
-  TT3D_CPU_LOOP void clear(Integer* values, int64_t blocks, const uint16_t* bits) {       \
-    clear_unset(values, blocks, bits);                                                    \
+    set_bits(values, blocks, high, bits);                                                       \
   }
-TT3D_MASK_LOOPS(int16_t)
-TT3D_MASK_LOOPS(int32_t)
-TT3D_MASK_LOOPS(int64_t)
-#undef TT3D_MASK_LOOPS
+#define TT3D_CLEAR(attributes, bytes, Integer)                                   \
+  attributes void clear(Integer* values, int64_t blocks, const uint16_t* bits) { \
+    clear_unset<bytes>(values, blocks, bits);                                    \
+  }
+TT3D_SET(int16_t)
+TT3D_SET(int32_t)
+TT3D_SET(int64_t)
+TT3D_FOR_EACH_CPU(TT3D_CLEAR, int16_t)
+TT3D_FOR_EACH_CPU(TT3D_CLEAR, int32_t)
+TT3D_CLEAR(, 16, int64_t)  // for tests
+#undef TT3D_SET
+#undef TT3D_CLEAR
 
 /// The integer as wide as a storage type, and the bits of a limit in it.
 template <typename Storage>
@@ -142,20 +181,6 @@ struct DepthwiseRow {
   const uint16_t* bits = nullptr;  ///< mask of the results, or null; of a block at `out`
 };
 
-/// Vectors of a number of bytes; nested, because GCC drops the size of a vector otherwise.
-template <int kBytes>
-struct VectorOf {
-  template <typename T>
-  struct Of {
-    typedef T Type __attribute__((vector_size(kBytes), aligned(sizeof(T)), may_alias));
-  };
-};
-
-template <typename Vector, typename T>
-TT3D_HD const Vector& lanes_at(const T* numbers) {
-  return *reinterpret_cast<const Vector*>(numbers);
-}
-
 /// Vectors of sums, and how they are stored. Nothing here or below returns a vector or is a lambda:
 /// either would be compiled for the plain processor.
 template <int kVectorBytes, typename Storage, typename Sum>
@@ -186,17 +211,6 @@ struct Vectors<kVectorBytes, at::BFloat16, float> {
   }
 };
 
-/// Sets the lanes whose bit is not set to zero; `first`: index of lane 0 in its block.
-template <typename V, typename Sum>
-TT3D_HD void clear_lanes(typename V::Type& value, uint16_t word, int64_t first) {
-  using Integer = std::conditional_t<sizeof(Sum) == 4, int32_t, int64_t>;
-  using Lanes = typename VectorOf<sizeof(typename V::Type)>::template Of<Integer>::Type;
-  Lanes bit;
-  for (int i = 0; i < V::kLanes; ++i) bit[i] = Integer{1} << i;
-  const Lanes all = Lanes{} + static_cast<Integer>(word >> first);
-  value = (all & bit) != 0 ? value : typename V::Type{};
-}
-
 template <typename V, typename Storage, typename Sum>
 TT3D_HD void finish(const DepthwiseRow<Storage, Sum>& row, typename V::Type& sum, int64_t j,
                     int64_t c) {
@@ -207,7 +221,11 @@ TT3D_HD void finish(const DepthwiseRow<Storage, Sum>& row, typename V::Type& sum
     sum = sum < high ? sum : high;
   }
   const int64_t place = j * row.out_step * row.channels + c;
-  if (row.bits != nullptr) clear_lanes<V, Sum>(sum, row.bits[place / kBlock], c % kBlock);
+  if (row.bits != nullptr) {
+    using Integer = std::conditional_t<sizeof(Sum) == 4, int32_t, int64_t>;
+    using Lanes = typename VectorOf<sizeof(Vector)>::template Of<Integer>::Type;
+    clear_lanes<Lanes, Integer, V::kLanes>(sum, row.bits[place / kBlock], c % kBlock);
+  }
   V::store(sum, row.out + place);
 }
 
