@@ -216,7 +216,8 @@ std::shared_ptr<Classifier> load_checked(const Package& package, Progress* warn,
     throw_probe(path, plain->probe(), options.precision);
   }
   if (warn != nullptr) {
-    warn->note(path.string() + ": runs without batch-norm folding, channels-last and compilation, with which " +
+    warn->note(path.string() +
+               ": runs without batch-norm folding, channels-last and compilation, with which " +
                describe(report));
   }
   return plain;

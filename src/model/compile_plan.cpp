@@ -125,8 +125,7 @@ class Compiler {
   bool has_gradient(Slot slot) const { return depends_.count(slot) != 0; }
   bool is_picture(Slot slot) const {
     const auto found = shapes_.find(slot);
-    return found != shapes_.end() && found->second.size() == 4 &&
-           graph_.constants.count(slot) == 0;
+    return found != shapes_.end() && found->second.size() == 4 && graph_.constants.count(slot) == 0;
   }
   bool same_shape(Slot a, Slot b) const {
     return is_picture(a) && is_picture(b) && shapes_.at(a) == shapes_.at(b);

@@ -14,8 +14,8 @@ namespace tt3d::model {
 
 /// What a node keeps of its forward pass for its backward pass.
 struct Kept {
-  at::Tensor mask;                   ///< bits, one per element of the result: 1 where it has slope 1
-  std::vector<int64_t> sizes;        ///< of the input
+  at::Tensor mask;             ///< bits, one per element of the result: 1 where it has slope 1
+  std::vector<int64_t> sizes;  ///< of the input
   std::vector<at::Tensor> inputs, outputs;  ///< of steps that autograd records
 };
 
@@ -100,9 +100,9 @@ class Plan : public std::enable_shared_from_this<Plan> {
 
 /// Compiles the graph; null if that brings nothing (few convolutions) or the graph writes into its
 /// values in ways that the plan does not follow. `graph` has channels-last float32 weights. With
-/// bfloat16 the forward pass stays in float32, and the gradient's products are in bfloat16: rounding in
-/// the forward pass would switch activations, which changes the gradient far more. `memory`: limit in bytes for the results of one small batch, which
-/// is run to learn their shapes.
+/// bfloat16 the forward pass stays in float32, and the gradient's products are in bfloat16:
+/// rounding in the forward pass would switch activations, which changes the gradient far more.
+/// `memory`: limit in bytes for the results of one small batch, which is run to learn their shapes.
 [[nodiscard]] std::shared_ptr<const Plan> compile_plan(const Graph& graph, Precision precision,
                                                        int64_t memory);
 

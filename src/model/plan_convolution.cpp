@@ -113,8 +113,7 @@ class ConvolutionGradient {
 class UnitStrideGradient final : public ConvolutionGradient {
  public:
   explicit UnitStrideGradient(const ConvolutionSpec& spec)
-      : packed_(turned(spec), {}, {1, 1}, outer(spec), spec.dilation,
-                spec.groups) {}
+      : packed_(turned(spec), {}, {1, 1}, outer(spec), spec.dilation, spec.groups) {}
   static Sizes outer(const ConvolutionSpec& spec) {
     Sizes padding;
     for (size_t i = 0; i < 2; ++i) {
@@ -131,9 +130,7 @@ class UnitStrideGradient final : public ConvolutionGradient {
     static_cast<void>(input);
     return packed_.run(gradient, {});
   }
-  bool holds(const ConvolutionSpec& spec) const override {
-    return packed_.holds(turned(spec));
-  }
+  bool holds(const ConvolutionSpec& spec) const override { return packed_.holds(turned(spec)); }
 
  private:
   Packed packed_;
@@ -143,8 +140,7 @@ class UnitStrideGradient final : public ConvolutionGradient {
 class SkippingGradient final : public ConvolutionGradient {
  public:
   explicit SkippingGradient(const ConvolutionSpec& spec)
-      : packed_(turned(spec), {}, {1, 1}, {0, 0}, {1, 1}, spec.groups),
-        stride_(spec.stride) {}
+      : packed_(turned(spec), {}, {1, 1}, {0, 0}, {1, 1}, spec.groups), stride_(spec.stride) {}
   static bool fits(const ConvolutionSpec& spec) {
     return spec.weight.size(2) == 1 && spec.weight.size(3) == 1 && spec.padding == Sizes{0, 0};
   }
@@ -155,17 +151,15 @@ class SkippingGradient final : public ConvolutionGradient {
     result.slice(2, 0, at::nullopt, stride_[0]).slice(3, 0, at::nullopt, stride_[1]).copy_(reached);
     return result;
   }
-  bool holds(const ConvolutionSpec& spec) const override {
-    return packed_.holds(turned(spec));
-  }
+  bool holds(const ConvolutionSpec& spec) const override { return packed_.holds(turned(spec)); }
 
  private:
   Packed packed_;
   Sizes stride_;
 };
 
-/// A strided convolution of few channels, as a network's first. Pixels of equal residue with respect
-/// to the stride have the same taps, so one convolution with stride 1 gives all residues as
+/// A strided convolution of few channels, as a network's first. Pixels of equal residue with
+/// respect to the stride have the same taps, so one convolution with stride 1 gives all residues as
 /// channels (Shi et al., "Is the deconvolution layer the same as a convolutional layer?", 2016).
 class ResidueGradient final : public ConvolutionGradient {
  public:
@@ -184,13 +178,12 @@ class ResidueGradient final : public ConvolutionGradient {
     const int64_t height = std::min(input[2], all.size(2) - padding_);
     const int64_t width = std::min(input[3], all.size(3) - padding_);
     if (height < input[2] || width < input[3]) result.zero_();
-    result.slice(2, 0, height).slice(3, 0, width).copy_(
-        all.slice(2, padding_, padding_ + height).slice(3, padding_, padding_ + width));
+    result.slice(2, 0, height)
+        .slice(3, 0, width)
+        .copy_(all.slice(2, padding_, padding_ + height).slice(3, padding_, padding_ + width));
     return result;
   }
-  bool holds(const ConvolutionSpec& spec) const override {
-    return packed_.holds(residues(spec));
-  }
+  bool holds(const ConvolutionSpec& spec) const override { return packed_.holds(residues(spec)); }
 
  private:
   /// [Cin * s * s, Cout, m, m]: channel (c, qy, qx) has the taps (qy + s * i, qx + s * j), turned.
@@ -222,9 +215,9 @@ class StridedGradient final : public ConvolutionGradient {
       : spec_(spec), weight_(spec.weight.to(spec.gradient_type)) {}
   at::Tensor run(const at::Tensor& gradient, const Sizes& input) override {
     return std::get<0>(at::convolution_backward(
-        gradient, at::empty(input, gradient.options(), at::MemoryFormat::ChannelsLast),
-        weight_, at::nullopt, spec_.stride, spec_.padding, spec_.dilation, false, {0, 0},
-        spec_.groups, {true, false, false}));
+        gradient, at::empty(input, gradient.options(), at::MemoryFormat::ChannelsLast), weight_,
+        at::nullopt, spec_.stride, spec_.padding, spec_.dilation, false, {0, 0}, spec_.groups,
+        {true, false, false}));
   }
   bool holds(const ConvolutionSpec& spec) const override {
     return weight_.equal(spec.weight.to(spec.gradient_type));
@@ -277,9 +270,9 @@ class ConvolutionNode : public PlanNode {
       apply_bits(gradient, kept.mask);
     }
     if (spec_.input_has_gradient) {
-      const at::Tensor mask =
-          spec_.input_mask < 0 ? at::Tensor()
-                               : pass.kept(static_cast<size_t>(spec_.input_mask)).mask;
+      const at::Tensor mask = spec_.input_mask < 0
+                                  ? at::Tensor()
+                                  : pass.kept(static_cast<size_t>(spec_.input_mask)).mask;
       pass.add_gradient(spec_.input, input_gradient(gradient, kept.sizes, mask));
     }
     if (spec_.sum >= 0 && spec_.sum_has_gradient) pass.add_gradient(spec_.sum, std::move(gradient));
@@ -358,7 +351,8 @@ class DenseNode final : public ConvolutionNode {
 class DepthwiseNode final : public ConvolutionNode {
  public:
   DepthwiseNode(ConvolutionSpec spec, const DepthwiseShape& shape)
-      : ConvolutionNode(std::move(spec)), convolution_(shape, spec_.weight, spec_.bias, at::kFloat) {}
+      : ConvolutionNode(std::move(spec)),
+        convolution_(shape, spec_.weight, spec_.bias, at::kFloat) {}
 
   bool weights_hold() const override { return convolution_.holds(spec_.weight, spec_.bias); }
 

@@ -39,8 +39,8 @@ constexpr int64_t kChunk = 1 << 15;
 
 /// Numbers beside each other, as many as a vector of `kVectorBytes` has floats.
 template <int kVectorBytes, typename Number>
-using FloatLanes =
-    typename VectorOf<kVectorBytes / 4 * static_cast<int>(sizeof(Number))>::template Of<Number>::Type;
+using FloatLanes = typename VectorOf<kVectorBytes / 4 *
+                                     static_cast<int>(sizeof(Number))>::template Of<Number>::Type;
 
 /// Sets the bits of blocks. Positive floats keep their order as integers, and negative ones are
 /// negative, so 0 < value < high is a comparison of integers; without a sign it is a single one.
@@ -54,7 +54,8 @@ TT3D_HD void set_bits(const Integer* values, int64_t blocks, Integer high, uint1
     const int64_t count = blocks - first < kGroup ? blocks - first : kGroup;
     const Integer* from = values + first * kBlock;
     for (int64_t i = 0; i < count * kBlock; ++i) {
-      flags[i] = static_cast<uint8_t>(static_cast<Natural>(static_cast<Natural>(from[i]) - 1) < limit);
+      flags[i] =
+          static_cast<uint8_t>(static_cast<Natural>(static_cast<Natural>(from[i]) - 1) < limit);
     }
     for (int64_t b = 0; b < count; ++b) {
       uint64_t halves[2];
@@ -82,7 +83,8 @@ TT3D_HD void clear_unset(Integer* values, int64_t blocks, const uint16_t* bits) 
   using Lanes = FloatLanes<kVectorBytes, Integer>;
   for (int64_t b = 0; b < blocks; ++b) {
     for (int i = 0; i < kBlock; i += kLanes) {
-      clear_lanes<Lanes, Integer, kLanes>(*reinterpret_cast<Lanes*>(values + b * kBlock + i), bits[b], i);
+      clear_lanes<Lanes, Integer, kLanes>(*reinterpret_cast<Lanes*>(values + b * kBlock + i),
+                                          bits[b], i);
     }
   }
 }
@@ -303,9 +305,9 @@ TT3D_HD void convolve_row(const DepthwiseRow<Storage, Sum>& row) {
   }
 }
 
-#define TT3D_ROW(attributes, bytes, Storage)                                        \
-  attributes void convolve(const DepthwiseRow<Storage, SumOf<Storage>>& row) {      \
-    convolve_row<bytes>(row);                                                       \
+#define TT3D_ROW(attributes, bytes, Storage)                                   \
+  attributes void convolve(const DepthwiseRow<Storage, SumOf<Storage>>& row) { \
+    convolve_row<bytes>(row);                                                  \
   }
 TT3D_FOR_EACH_CPU(TT3D_ROW, float)
 TT3D_ROW(, 16, double)  // for tests
@@ -351,10 +353,9 @@ at::Tensor slope_bits(const at::Tensor& result, const Clamp& clamp) {
     auto* values =
         const_cast<Integer*>(reinterpret_cast<const Integer*>(result.const_data_ptr<Storage>()));
     const Integer high = limit_of<Storage>(clamp);
-    for_each_mask_chunk(values, result.numel(), words(bits),
-                        [&](const Integer* from, int64_t blocks, uint16_t* to) {
-                          set(from, blocks, high, to);
-                        });
+    for_each_mask_chunk(
+        values, result.numel(), words(bits),
+        [&](const Integer* from, int64_t blocks, uint16_t* to) { set(from, blocks, high, to); });
   });
   return bits;
 }
@@ -364,10 +365,9 @@ void apply_bits(const at::Tensor& gradient, const at::Tensor& bits) {
     using Storage = std::remove_pointer_t<decltype(none)>;
     using Integer = typename AsInteger<Storage>::Type;
     auto* values = reinterpret_cast<Integer*>(gradient.mutable_data_ptr<Storage>());
-    for_each_mask_chunk(values, gradient.numel(), words(bits),
-                        [&](Integer* to, int64_t blocks, const uint16_t* from) {
-                          clear(to, blocks, from);
-                        });
+    for_each_mask_chunk(
+        values, gradient.numel(), words(bits),
+        [&](Integer* to, int64_t blocks, const uint16_t* from) { clear(to, blocks, from); });
   });
 }
 
@@ -387,8 +387,7 @@ Depthwise::Depthwise(const DepthwiseShape& shape, const at::Tensor& weight, cons
 
 bool Depthwise::holds(const at::Tensor& weight, const at::Tensor& bias) const {
   const at::Tensor taps = taps_first(weight, forward_weight_.scalar_type());
-  return taps.equal(forward_weight_) &&
-         windows_of_gradient(shape_, taps).equal(backward_weight_) &&
+  return taps.equal(forward_weight_) && windows_of_gradient(shape_, taps).equal(backward_weight_) &&
          (!bias_.defined() || bias_.equal(bias.to(bias_.scalar_type())));
 }
 

@@ -41,8 +41,7 @@ class Depthwise {
             at::ScalarType type);
 
   /// x [N,C,H,W]; the clamped convolution. Fills `bits`, if not null, with its slope_bits.
-  [[nodiscard]] at::Tensor forward(const at::Tensor& x, const Clamp& clamp,
-                                   at::Tensor* bits) const;
+  [[nodiscard]] at::Tensor forward(const at::Tensor& x, const Clamp& clamp, at::Tensor* bits) const;
   /// The gradient [N,C,height,width] of the input for that of the convolution, which is not masked.
   /// `input_bits`: if defined, the mask of the activation that gave the input, applied too.
   [[nodiscard]] at::Tensor backward(const at::Tensor& gradient, int64_t height, int64_t width,

@@ -46,8 +46,7 @@ class ClampedNode : public PlanNode {
 
 class AffineNode final : public ClampedNode {
  public:
-  explicit AffineNode(const AffineSpec& spec)
-      : ClampedNode(spec.output, spec.clamp), spec_(spec) {}
+  explicit AffineNode(const AffineSpec& spec) : ClampedNode(spec.output, spec.clamp), spec_(spec) {}
 
  protected:
   at::Tensor result(PlanPass& pass) const override {
@@ -139,8 +138,8 @@ class DispatchedNode final : public PlanNode {
   }
 
  private:
-  /// Makes a value a leaf of autograd's graph if a backward pass follows. Returns the leaf, undefined
-  /// if there is none.
+  /// Makes a value a leaf of autograd's graph if a backward pass follows. Returns the leaf,
+  /// undefined if there is none.
   static at::Tensor prepare(PlanPass& pass, Slot slot) {
     if (!pass.is_tensor(slot)) return {};
     if (!pass.keeps() || !pass.value(slot).is_floating_point()) return {};

@@ -14,8 +14,8 @@ struct ConvolutionSpec {
   at::Tensor weight, bias;  ///< of the graph; [Cout,Cin/groups,kh,kw], and [Cout] or undefined
   std::vector<int64_t> stride, padding, dilation;  ///< two numbers each
   int64_t groups = 1;
-  /// Zeros around the input beyond `padding`: left, right, top, bottom; TensorFlow's networks pad one
-  /// side more than the other.
+  /// Zeros around the input beyond `padding`: left, right, top, bottom; TensorFlow's networks pad
+  /// one side more than the other.
   std::vector<int64_t> around = {0, 0, 0, 0};
   Slot input = -1, sum = -1, output = -1;  ///< sum: -1 if nothing is added
   bool input_has_gradient = true, sum_has_gradient = true;

@@ -207,9 +207,9 @@ void drop_unused_constants(Graph& graph) {
 
 bool returns_view(const Step& step) {
   const auto& arguments = step.op->schema().arguments();
-  return !writes_in_place(step) && std::any_of(arguments.begin(), arguments.end(), [](const auto& argument) {
-    return argument.alias_info() != nullptr;
-  });
+  return !writes_in_place(step) &&
+         std::any_of(arguments.begin(), arguments.end(),
+                     [](const auto& argument) { return argument.alias_info() != nullptr; });
 }
 
 /// True if a step writes into another value's memory through a view.
