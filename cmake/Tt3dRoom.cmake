@@ -25,6 +25,7 @@ function(tt3d_room name)
     PUBLIC "$<BUILD_INTERFACE:${CMAKE_SOURCE_DIR}/include/${name}>" "$<INSTALL_INTERFACE:include>"
     PRIVATE "${CMAKE_CURRENT_SOURCE_DIR}")
   target_compile_features(tt3d_${name} PUBLIC cxx_std_20)
+  tt3d_unity(tt3d_${name})
   # An installed room is the target tt3d::NAME; its headers are in include/tt3d.
   set_target_properties(tt3d_${name} PROPERTIES EXPORT_NAME ${name})
   install(TARGETS tt3d_${name} EXPORT tt3d)
@@ -39,6 +40,19 @@ function(tt3d_room name)
     target_link_libraries(tt3d_${name} PUBLIC TorchLibs::cpu)
     tt3d_torch_pch(tt3d_${name})
   endif()
+endfunction()
+
+# Compiles the sources of a target in groups of eight, so that headers are parsed and templates
+# instantiated once a group (decision 27). Kernels stay on their own: their code must not depend on
+# their neighbours.
+function(tt3d_unity target)
+  if(NOT TT3D_UNITY)
+    return()
+  endif()
+  set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 8)
+  get_target_property(_sources ${target} SOURCES)
+  list(FILTER _sources INCLUDE REGEX "_cpu\\.cpp$")
+  set_source_files_properties(${_sources} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
 endfunction()
 
 # Parsing ATen takes seconds per file. It is parsed once (tt3d_torch_pch_owner, src/device), and all
@@ -57,9 +71,11 @@ function(tt3d_test name)
   target_link_libraries(${name}_test PRIVATE tt3d_test_support ${TEST_LIBS} GTest::gtest_main)
   target_include_directories(${name}_test PRIVATE "${CMAKE_SOURCE_DIR}/tests"
                                                   "${CMAKE_SOURCE_DIR}/src")
-  target_compile_options(${name}_test PRIVATE ${TT3D_WARNINGS})
+  # The tests' own code is compiled twice as fast with -O1; what they test keeps -O3.
+  target_compile_options(${name}_test PRIVATE ${TT3D_WARNINGS} $<$<CONFIG:Release>:-O1>)
   target_compile_definitions(${name}_test PRIVATE
     TT3D_SOURCE_DIR="${CMAKE_SOURCE_DIR}" TT3D_BINARY_DIR="${CMAKE_BINARY_DIR}")
   tt3d_torch_pch(${name}_test)
+  tt3d_unity(${name}_test)
   gtest_discover_tests(${name}_test DISCOVERY_TIMEOUT 60 PROPERTIES TIMEOUT 600)
 endfunction()

@@ -11,28 +11,25 @@
 #include "tt3d/surface.h"
 
 namespace tt3d::mesh {
-namespace {
 
 using at::Tensor;
 
-/// nanoflann's adaptor for [V,3] float points.
-struct Cloud {
-  const float* p;
-  size_t n;
-  [[nodiscard]] size_t kdtree_get_point_count() const { return n; }
-  [[nodiscard]] float kdtree_get_pt(size_t i, size_t k) const { return p[3 * i + k]; }
-  template <class Box>
-  bool kdtree_get_bbox(Box&) const {
-    return false;
-  }
-};
-using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud,
-                                                 3, int64_t>;
-
-}  // namespace
-
 /// The rest positions [V,3] on the host, in a k-d tree.
 struct MeshRegularizer::RestTree {
+  /// nanoflann's adaptor for [V,3] float points.
+  struct Cloud {
+    const float* p;
+    size_t n;
+    [[nodiscard]] size_t kdtree_get_point_count() const { return n; }
+    [[nodiscard]] float kdtree_get_pt(size_t i, size_t k) const { return p[3 * i + k]; }
+    template <class Box>
+    bool kdtree_get_bbox(Box&) const {
+      return false;
+    }
+  };
+  using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>,
+                                                   Cloud, 3, int64_t>;
+
   explicit RestTree(const Tensor& rest)
       : points(rest.cpu().to(at::kFloat).contiguous()),
         cloud{points.const_data_ptr<float>(), static_cast<size_t>(points.size(0))},
