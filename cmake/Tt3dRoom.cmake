@@ -26,6 +26,9 @@ function(tt3d_room name)
     PRIVATE "${CMAKE_CURRENT_SOURCE_DIR}")
   target_compile_features(tt3d_${name} PUBLIC cxx_std_20)
   tt3d_unity(tt3d_${name})
+  if(TT3D_CUDA)
+    tt3d_cuda_side(tt3d_${name})
+  endif()
   # An installed room is the target tt3d::NAME; its headers are in include/tt3d.
   set_target_properties(tt3d_${name} PROPERTIES EXPORT_NAME ${name})
   install(TARGETS tt3d_${name} EXPORT tt3d)
@@ -53,6 +56,28 @@ function(tt3d_unity target)
   get_target_property(_sources ${target} SOURCES)
   list(FILTER _sources INCLUDE REGEX "_cpu\\.cpp$")
   set_source_files_properties(${_sources} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
+endfunction()
+
+# Adds the target's CUDA files, and the sources that choose an executor or have a branch for CUDA, to
+# the objects of target cuda_side. These sources are compiled on their own. ALL: every source.
+function(tt3d_cuda_side target)
+  cmake_parse_arguments(SIDE "ALL" "" "" ${ARGN})
+  get_target_property(_sources ${target} SOURCES)
+  foreach(_source IN LISTS _sources)
+    if(_source MATCHES "\\.cpp$" AND NOT IS_ABSOLUTE "${_source}")
+      file(STRINGS "${CMAKE_CURRENT_SOURCE_DIR}/${_source}" _branch REGEX
+           "ifdef TT3D_CUDA|/cuda/|on_device_of|for_each_index_on|current_cuda")
+      set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS
+                   "${CMAKE_CURRENT_SOURCE_DIR}/${_source}")
+    else()
+      set(_branch "")
+    endif()
+    if(SIDE_ALL OR _branch OR _source MATCHES "\\.cu$")
+      set_source_files_properties("${_source}" PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
+      set_property(GLOBAL APPEND PROPERTY TT3D_CUDA_OBJECTS
+                   "${CMAKE_CURRENT_BINARY_DIR}/CMakeFiles/${target}.dir/${_source}.o")
+    endif()
+  endforeach()
 endfunction()
 
 # Parsing ATen takes seconds per file. It is parsed once (tt3d_torch_pch_owner, src/device), and all
