@@ -1,7 +1,10 @@
 #include <ATen/ATen.h>
 
+#include <algorithm>
 #include <cmath>
 #include <nanoflann.hpp>
+#include <utility>
+#include <vector>
 
 #include "nearest_math.h"
 #include "neighbors.h"
@@ -51,6 +54,32 @@ struct MeshRegularizer::RestTree {
 };
 
 namespace {
+
+/// Collects the points within a radius for nanoflann, whose own class for it differs by version.
+class Within {
+ public:
+  Within(float squared_radius, std::vector<std::pair<int64_t, float>>& found)
+      : squared_radius_(squared_radius), found_(&found) {
+    found.clear();
+  }
+  bool addPoint(float squared, int64_t index) {
+    if (squared < squared_radius_) found_->emplace_back(index, squared);
+    return true;
+  }
+  [[nodiscard]] float worstDist() const { return squared_radius_; }
+  [[nodiscard]] size_t size() const { return found_->size(); }
+  [[nodiscard]] bool full() const { return true; }
+  [[nodiscard]] bool empty() const { return found_->empty(); }
+  /// The nearest first.
+  void sort() {
+    std::sort(found_->begin(), found_->end(),
+              [](const auto& a, const auto& b) { return a.second < b.second; });
+  }
+
+ private:
+  float squared_radius_;
+  std::vector<std::pair<int64_t, float>>* found_;
+};
 
 float squared_distance(const float* a, const float* b) {
   const float x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
@@ -181,7 +210,9 @@ std::pair<Tensor, Tensor> MeshRegularizer::nearest_both_ways(const Tensor& moved
     // A vertex that is nearer must have its rest position within the sum of both moves.
     const float radius = (moved_by[i] + largest) * 1.0001F;
     thread_local std::vector<std::pair<int64_t, float>> around;  // reuses its memory
-    tree_->tree.radiusSearch(rest + 3 * i, radius * radius, around, nanoflann::SearchParams());
+    Within within(radius * radius, around);
+    tree_->tree.radiusSearchCustomCallback(rest + 3 * i, within);
+    within.sort();
     int64_t found = i;
     float least = squared_distance(position + 3 * i, rest + 3 * i);
     for (const auto& [vertex, unused] : around) {
