@@ -58,6 +58,8 @@ namespace {
 /// Collects the points within a radius for nanoflann, whose own class for it differs by version.
 class Within {
  public:
+  using DistanceType = float;
+  using IndexType = int64_t;
   Within(float squared_radius, std::vector<std::pair<int64_t, float>>& found)
       : squared_radius_(squared_radius), found_(&found) {
     found.clear();
