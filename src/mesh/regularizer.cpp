@@ -102,7 +102,7 @@ Tensor nearest_indices(const Tensor& own, const Find& find) {
 
 /// The same on the GPU, by comparison with all points.
 Tensor nearest_by_comparison(const Tensor& queries, const Tensor& points, const Tensor& own) {
-  const Tensor index = at::empty({queries.size(0)}, queries.options().dtype(at::kLong));
+  Tensor index = at::empty({queries.size(0)}, queries.options().dtype(at::kLong));
   for_each_index_on(
       queries, queries.size(0),
       mesh::NearestPoint{queries.const_data_ptr<float>(), points.const_data_ptr<float>(),
