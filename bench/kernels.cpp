@@ -4,6 +4,7 @@
 //   TT3D_BENCH_MESH  safetensors with clip [1,V,4] f32, faces [F,3] i32, colors [V,3] f32,
 //                    uvs [V,2] f32
 #include <ATen/Parallel.h>
+#include <ATen/core/grad_mode.h>
 #include <benchmark/benchmark.h>
 
 #include <cmath>

@@ -7,26 +7,26 @@
 namespace tt3d::cli {
 namespace {
 
-struct Arguments {
+struct EvaluateArguments {
   evaluate::EvaluateOptions options;
   KeyList keys, renderer_keys;  ///< keys of the options
   std::string out;
   bool make_video = false;
   evaluate::TurntableOptions video;
 
-  Arguments() {
+  EvaluateArguments() {
     options.keys(keys);
     options.renderer.keys(renderer_keys);
   }
 };
 
-void apply(Arguments& a, const Common& common) {
+void apply(EvaluateArguments& a, const Common& common) {
   a.options.device = apply_common(common);
   a.options.seed = common.seed;
   evaluate::check_renderer(a.options.renderer);
 }
 
-void evaluate(Arguments& a, const Common& common) {
+void evaluate(EvaluateArguments& a, const Common& common) {
   apply(a, common);
   const auto progress = make_progress(common);
   asset::AssetFiles assets;
@@ -36,7 +36,7 @@ void evaluate(Arguments& a, const Common& common) {
 }
 
 /// `render --video`: a video once around the object.
-void turntable(const Arguments& a, const Common& common) {
+void turntable(const EvaluateArguments& a, const Common& common) {
   evaluate::TurntableOptions video = a.video;
   video.asset = a.options.asset;
   video.out = a.out;
@@ -50,7 +50,7 @@ void turntable(const Arguments& a, const Common& common) {
   std::cout << a.out << "\n";
 }
 
-void render(Arguments& a, const Common& common) {
+void render(EvaluateArguments& a, const Common& common) {
   if (a.make_video) return turntable(a, common);
   apply(a, common);
   const auto progress = make_progress(common);
@@ -58,7 +58,7 @@ void render(Arguments& a, const Common& common) {
   std::cout << a.out << "\n";
 }
 
-void add_view_options(CLI::App& command, Arguments& a) {
+void add_view_options(CLI::App& command, EvaluateArguments& a) {
   add_key_option(command, "--views", a.keys, "views");
   add_key_option(command, "--view-distribution", a.keys, "view_distribution");
   add_key_option(command, "--size", a.keys, "size");
@@ -69,7 +69,7 @@ void add_view_options(CLI::App& command, Arguments& a) {
 }
 
 void add_evaluate(CLI::App& app, Common& common) {
-  auto a = std::make_shared<Arguments>();
+  auto a = std::make_shared<EvaluateArguments>();
   CLI::App* command = app.add_subcommand("evaluate", "score any GLB, glTF or OBJ with classifiers");
   command->add_option("ASSET", a->options.asset, "GLB, glTF or OBJ")->required();
   command
@@ -91,7 +91,7 @@ void add_evaluate(CLI::App& app, Common& common) {
 }
 
 void add_render(CLI::App& app, Common& common) {
-  auto a = std::make_shared<Arguments>();
+  auto a = std::make_shared<EvaluateArguments>();
   CLI::App* command =
       app.add_subcommand("render", "render views of an asset as a NeRF-synthetic capture");
   command->add_option("ASSET", a->options.asset, "GLB, glTF or OBJ")->required();

@@ -14,8 +14,8 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 namespace {
 
-/// Arguments of the commands in this file.
-struct Arguments {
+/// RunArguments of the commands in this file.
+struct RunArguments {
   std::string config, capture, run, asset, out;
   std::vector<std::string> sets, also, runs;
   std::vector<run::Assignment> assignments;  ///< options for configuration keys
@@ -51,7 +51,7 @@ void apply_seed(run::RunConfig& config, const Common& common, const CLI::App& co
   if (command.count("--seed") > 0) config.seed = common.seed;
 }
 
-void run_all(const Arguments& a, const Common& common, const CLI::App& command) {
+void run_all(const RunArguments& a, const Common& common, const CLI::App& command) {
   const at::Device device = apply_common(common);
   run::RunConfig config = run::load_config(a.config);
   run::set_all(config, a.sets);
@@ -65,7 +65,7 @@ void run_all(const Arguments& a, const Common& common, const CLI::App& command) 
   print_summary(run, common);
 }
 
-void fit(const Arguments& a, const Common& common, const CLI::App& command) {
+void fit(const RunArguments& a, const Common& common, const CLI::App& command) {
   const at::Device device = apply_common(common);
   run::RunConfig config;
   config.capture.path = fs::absolute(a.capture);
@@ -79,7 +79,7 @@ void fit(const Arguments& a, const Common& common, const CLI::App& command) {
 }
 
 /// Changes keys of an existing run and runs a stage.
-run::Run continue_run(const Arguments& a, const Common& common, const CLI::App& command,
+run::Run continue_run(const RunArguments& a, const Common& common, const CLI::App& command,
                       const std::string& stage) {
   const at::Device device = apply_common(common);
   run::Run run = run::Run::open(a.run);
@@ -113,7 +113,7 @@ report::ComparedRun compared_run(const fs::path& folder) {
 }
 
 /// Makes the page of one run, or the page that compares several runs.
-void report_runs(Arguments& a, const Common& common, const CLI::App& command) {
+void report_runs(RunArguments& a, const Common& common, const CLI::App& command) {
   if (command.count("--seed") > 0) {
     throw InputError("report: draws nothing at random; give --seed to mesh, attack or evaluate");
   }
@@ -138,7 +138,7 @@ void report_runs(Arguments& a, const Common& common, const CLI::App& command) {
 }
 
 /// Starts a run for an asset, unless the folder already has it.
-void begin_with_asset(Arguments& a, const Common& common, const CLI::App& command) {
+void begin_with_asset(RunArguments& a, const Common& common, const CLI::App& command) {
   if (a.run.empty()) a.run = fs::path("runs") / fs::path(a.asset).stem();
   if (fs::exists(fs::path(a.run) / "run.json")) {
     if (run::Run::open(a.run).config().asset.path == fs::absolute(a.asset)) return;
@@ -150,7 +150,7 @@ void begin_with_asset(Arguments& a, const Common& common, const CLI::App& comman
   const run::Run run(a.run, config, false);
 }
 
-void attack(Arguments a, const Common& common, const CLI::App& command) {
+void attack(RunArguments a, const Common& common, const CLI::App& command) {
   if (!a.asset.empty()) begin_with_asset(a, common, command);
   if (a.run.empty()) throw InputError("attack: expected a run folder, or --asset FILE");
   // Reset the value of an earlier attack: another method may not allow it.
@@ -171,7 +171,7 @@ void print_presets(const Common& common) {
   if (common.json) std::cout << list.dump(1) << "\n";
 }
 
-CLI::App* stage_command(CLI::App& app, Common& common, Arguments& a, const std::string& name,
+CLI::App* stage_command(CLI::App& app, Common& common, RunArguments& a, const std::string& name,
                         const std::string& description) {
   CLI::App* command = app.add_subcommand(name, description);
   command->add_option("RUN", a.run, "run folder")->required();
@@ -183,7 +183,7 @@ CLI::App* stage_command(CLI::App& app, Common& common, Arguments& a, const std::
 }
 
 void add_run(CLI::App& app, Common& common) {
-  auto a = std::make_shared<Arguments>();
+  auto a = std::make_shared<RunArguments>();
   CLI::App* command =
       app.add_subcommand("run", "run all stages of a configuration; run again to resume");
   command->add_option("CONFIG", a->config, "configuration, TOML")->required();
@@ -196,7 +196,7 @@ void add_run(CLI::App& app, Common& common) {
 }
 
 void add_fit(CLI::App& app, Common& common) {
-  auto a = std::make_shared<Arguments>();
+  auto a = std::make_shared<RunArguments>();
   CLI::App* command = app.add_subcommand("fit", "fit a radiance field to photographs");
   command->add_option("CAPTURE", a->capture, "folder of photographs and cameras, or a camera file")
       ->required();
@@ -209,7 +209,7 @@ void add_fit(CLI::App& app, Common& common) {
 }
 
 void add_mesh(CLI::App& app, Common& common) {
-  auto a = std::make_shared<Arguments>();
+  auto a = std::make_shared<RunArguments>();
   CLI::App* command =
       stage_command(app, common, *a, "mesh", "extract and refine a mesh from the radiance field");
   command->callback([a, &common, command] {
@@ -219,7 +219,7 @@ void add_mesh(CLI::App& app, Common& common) {
 }
 
 void add_attack(CLI::App& app, Common& common) {
-  auto a = std::make_shared<Arguments>();
+  auto a = std::make_shared<RunArguments>();
   CLI::App* command = stage_command(app, common, *a, "attack", "attack the mesh");
   command->get_option("RUN")->required(false);
   command->add_option("--asset", a->asset,
@@ -245,7 +245,7 @@ void add_attack(CLI::App& app, Common& common) {
 }
 
 void add_bake(CLI::App& app, Common& common) {
-  auto a = std::make_shared<Arguments>();
+  auto a = std::make_shared<RunArguments>();
   CLI::App* command = stage_command(app, common, *a, "bake",
                                     "write textured files of the clean and the adversarial object");
   command->callback([a, &common, command] {
@@ -254,7 +254,7 @@ void add_bake(CLI::App& app, Common& common) {
 }
 
 void add_report(CLI::App& app, Common& common) {
-  auto a = std::make_shared<Arguments>();
+  auto a = std::make_shared<RunArguments>();
   CLI::App* command =
       app.add_subcommand("report", "write report.html of a run; with --out, compare runs");
   command->add_option("RUN", a->runs, "run folders")->required();

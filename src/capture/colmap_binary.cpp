@@ -69,7 +69,7 @@ class ByteReader {
   size_t position_ = 0;
 };
 
-void read_cameras(const fs::path& path, ColmapModel& model) {
+void read_binary_cameras(const fs::path& path, ColmapModel& model) {
   ByteReader reader(path);
   const uint64_t count = reader.take_count(24);
   for (uint64_t i = 0; i < count; ++i) {
@@ -93,7 +93,7 @@ void read_cameras(const fs::path& path, ColmapModel& model) {
   reader.check_end();
 }
 
-void read_images(const fs::path& path, ColmapModel& model) {
+void read_binary_images(const fs::path& path, ColmapModel& model) {
   constexpr size_t kPointBytes = 24;
   ByteReader reader(path);
   const uint64_t count = reader.take_count(64);
@@ -111,7 +111,7 @@ void read_images(const fs::path& path, ColmapModel& model) {
   reader.check_end();
 }
 
-void read_points(const fs::path& path, ColmapModel& model) {
+void read_binary_points(const fs::path& path, ColmapModel& model) {
   constexpr size_t kTrackBytes = 8;
   ByteReader reader(path);
   const uint64_t count = reader.take_count(43);
@@ -132,9 +132,9 @@ void read_points(const fs::path& path, ColmapModel& model) {
 ColmapModel read_colmap_binary(const fs::path& folder) {
   ColmapModel model;
   model.files = {folder / "cameras.bin", folder / "images.bin"};
-  read_cameras(model.files[0], model);
-  read_images(model.files[1], model);
-  if (fs::exists(folder / "points3D.bin")) read_points(folder / "points3D.bin", model);
+  read_binary_cameras(model.files[0], model);
+  read_binary_images(model.files[1], model);
+  if (fs::exists(folder / "points3D.bin")) read_binary_points(folder / "points3D.bin", model);
   return model;
 }
 

@@ -56,7 +56,7 @@ bool take_number(std::istringstream& words, double& value) {
   return end == word.c_str() + word.size();
 }
 
-void read_cameras(const fs::path& path, ColmapModel& model) {
+void read_text_cameras(const fs::path& path, ColmapModel& model) {
   LineReader reader(path);
   while (reader.next()) {
     if (reader.blank()) continue;
@@ -100,7 +100,7 @@ bool is_points_line(std::istringstream words) {
 
 /// An image has two lines. The second one lists its points; it may be blank, or absent, as some
 /// programs drop blank lines.
-void read_images(const fs::path& path, ColmapModel& model) {
+void read_text_images(const fs::path& path, ColmapModel& model) {
   LineReader reader(path);
   bool points_may_follow = false;
   while (reader.next()) {
@@ -129,7 +129,7 @@ void read_images(const fs::path& path, ColmapModel& model) {
                         std::to_string(found) + "; the file may be incomplete");
 }
 
-void read_points(const fs::path& path, ColmapModel& model) {
+void read_text_points(const fs::path& path, ColmapModel& model) {
   LineReader reader(path);
   while (reader.next()) {
     if (reader.blank()) continue;
@@ -148,9 +148,9 @@ void read_points(const fs::path& path, ColmapModel& model) {
 ColmapModel read_colmap_text(const fs::path& folder) {
   ColmapModel model;
   model.files = {folder / "cameras.txt", folder / "images.txt"};
-  read_cameras(model.files[0], model);
-  read_images(model.files[1], model);
-  if (fs::exists(folder / "points3D.txt")) read_points(folder / "points3D.txt", model);
+  read_text_cameras(model.files[0], model);
+  read_text_images(model.files[1], model);
+  if (fs::exists(folder / "points3D.txt")) read_text_points(folder / "points3D.txt", model);
   return model;
 }
 

@@ -3,6 +3,7 @@
 #include "tt3d/image.h"
 
 #include <ATen/ATen.h>
+#include <ATen/core/grad_mode.h>
 
 #include <algorithm>
 #include <array>

@@ -1,7 +1,10 @@
 #include <ATen/ATen.h>
 
+#include <algorithm>
 #include <cmath>
 #include <nanoflann.hpp>
+#include <utility>
+#include <vector>
 
 #include "nearest_math.h"
 #include "neighbors.h"
@@ -11,28 +14,25 @@
 #include "tt3d/surface.h"
 
 namespace tt3d::mesh {
-namespace {
 
 using at::Tensor;
 
-/// nanoflann's adaptor for [V,3] float points.
-struct Cloud {
-  const float* p;
-  size_t n;
-  [[nodiscard]] size_t kdtree_get_point_count() const { return n; }
-  [[nodiscard]] float kdtree_get_pt(size_t i, size_t k) const { return p[3 * i + k]; }
-  template <class Box>
-  bool kdtree_get_bbox(Box&) const {
-    return false;
-  }
-};
-using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud,
-                                                 3, int64_t>;
-
-}  // namespace
-
 /// The rest positions [V,3] on the host, in a k-d tree.
 struct MeshRegularizer::RestTree {
+  /// nanoflann's adaptor for [V,3] float points.
+  struct Cloud {
+    const float* p;
+    size_t n;
+    [[nodiscard]] size_t kdtree_get_point_count() const { return n; }
+    [[nodiscard]] float kdtree_get_pt(size_t i, size_t k) const { return p[3 * i + k]; }
+    template <class Box>
+    bool kdtree_get_bbox(Box&) const {
+      return false;
+    }
+  };
+  using Tree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>,
+                                                   Cloud, 3, int64_t>;
+
   explicit RestTree(const Tensor& rest)
       : points(rest.cpu().to(at::kFloat).contiguous()),
         cloud{points.const_data_ptr<float>(), static_cast<size_t>(points.size(0))},
@@ -55,6 +55,34 @@ struct MeshRegularizer::RestTree {
 
 namespace {
 
+/// Collects the points within a radius for nanoflann, whose own class for it differs by version.
+class Within {
+ public:
+  using DistanceType = float;
+  using IndexType = int64_t;
+  Within(float squared_radius, std::vector<std::pair<int64_t, float>>& found)
+      : squared_radius_(squared_radius), found_(&found) {
+    found.clear();
+  }
+  bool addPoint(float squared, int64_t index) {
+    if (squared < squared_radius_) found_->emplace_back(index, squared);
+    return true;
+  }
+  [[nodiscard]] float worstDist() const { return squared_radius_; }
+  [[nodiscard]] size_t size() const { return found_->size(); }
+  [[nodiscard]] bool full() const { return true; }
+  [[nodiscard]] bool empty() const { return found_->empty(); }
+  /// The nearest first.
+  void sort() {
+    std::sort(found_->begin(), found_->end(),
+              [](const auto& a, const auto& b) { return a.second < b.second; });
+  }
+
+ private:
+  float squared_radius_;
+  std::vector<std::pair<int64_t, float>>* found_;
+};
+
 float squared_distance(const float* a, const float* b) {
   const float x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
   return x * x + y * y + z * z;
@@ -74,7 +102,7 @@ Tensor nearest_indices(const Tensor& own, const Find& find) {
 
 /// The same on the GPU, by comparison with all points.
 Tensor nearest_by_comparison(const Tensor& queries, const Tensor& points, const Tensor& own) {
-  const Tensor index = at::empty({queries.size(0)}, queries.options().dtype(at::kLong));
+  Tensor index = at::empty({queries.size(0)}, queries.options().dtype(at::kLong));
   for_each_index_on(
       queries, queries.size(0),
       mesh::NearestPoint{queries.const_data_ptr<float>(), points.const_data_ptr<float>(),
@@ -184,7 +212,9 @@ std::pair<Tensor, Tensor> MeshRegularizer::nearest_both_ways(const Tensor& moved
     // A vertex that is nearer must have its rest position within the sum of both moves.
     const float radius = (moved_by[i] + largest) * 1.0001F;
     thread_local std::vector<std::pair<int64_t, float>> around;  // reuses its memory
-    tree_->tree.radiusSearch(rest + 3 * i, radius * radius, around, nanoflann::SearchParams());
+    Within within(radius * radius, around);
+    tree_->tree.radiusSearchCustomCallback(rest + 3 * i, within);
+    within.sort();
     int64_t found = i;
     float least = squared_distance(position + 3 * i, rest + 3 * i);
     for (const auto& [vertex, unused] : around) {

@@ -3,6 +3,7 @@
 #include "tt3d/surface.h"
 
 #include <ATen/ATen.h>
+#include <ATen/core/grad_mode.h>
 
 #include "appearance_file.h"
 

@@ -15,8 +15,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;  // keys stay in the order of the columns
 
-constexpr const char* kNone = "\u2013";
-
 /// A cell of the page and of LaTeX.
 struct Cell {
   std::string text;
@@ -44,11 +42,11 @@ struct Table {
 Json value(const std::optional<double>& x) { return x ? Json(*x) : Json(); }
 
 std::string words(const std::optional<double>& x, double factor, int digits) {
-  return x ? fmt::format("{:.{}f}", factor * *x, digits) : kNone;
+  return x ? fmt::format("{:.{}f}", factor * *x, digits) : kDash;
 }
 
 Cell share_cell(double share, const record::Interval& interval) {
-  return {words(share, 100, 1), words(interval.low, 100, 1) + kNone + words(interval.high, 100, 1)};
+  return {words(share, 100, 1), words(interval.low, 100, 1) + kDash + words(interval.high, 100, 1)};
 }
 
 std::string with_light(const record::RendererRecord& renderer) {
@@ -215,7 +213,7 @@ std::string latex_text(const std::string& text) {
 bool known_to_attack(const std::string& role) { return role == "surrogate" || role == "target"; }
 
 std::string latex_cell(const Cell& cell) {
-  return cell.text == kNone ? "--"
+  return cell.text == kDash ? "--"
                             : latex_text(cell.text) + (known_to_attack(cell.role) ? "$^*$" : "");
 }
 

@@ -9,10 +9,8 @@
 namespace tt3d::report {
 namespace {
 
-constexpr const char* kNone = "\u2013";
-
 std::string percent_or_none(const std::optional<double>& share) {
-  return share ? percent(*share) : kNone;
+  return share ? percent(*share) : kDash;
 }
 
 std::string decibels(double value) { return fmt::format("{:.1f}\u00a0dB", value); }

@@ -9,6 +9,9 @@
 /// Small helpers to write HTML.
 namespace tt3d::report {
 
+/// Joins the ends of a range, and stands for a value that is absent.
+inline constexpr const char* kDash = "\u2013";
+
 /// Escapes text for HTML: & < > " ' become entities. For content and quoted attributes.
 [[nodiscard]] std::string escape(std::string_view text);
 

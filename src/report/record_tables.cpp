@@ -14,8 +14,6 @@
 namespace tt3d::report {
 namespace {
 
-constexpr const char* kNone = "\u2013";
-
 std::string renderer_words(const record::RendererRecord& renderer) {
   return escape(renderer.name) + (renderer.lit ? ", lit" : ", unlit");
 }
@@ -78,7 +76,7 @@ std::string video_table(const record::VideoRecord& video, const std::string& nam
     for (const std::string& label : labels) {
       const auto share = victim.backgrounds.find(label);
       body += cell(shown(label),
-                   share == victim.backgrounds.end() ? kNone : share_of_frames(share->second));
+                   share == victim.backgrounds.end() ? kDash : share_of_frames(share->second));
     }
     body += "</tr>\n";
   }
@@ -98,7 +96,7 @@ std::string rate_of(const record::EvaluationRecord& evaluation, const std::strin
   for (const record::VictimRecord& victim : evaluation.victims) {
     if (victim.name == model) return percent(victim.asr);
   }
-  return kNone;
+  return kDash;
 }
 
 }  // namespace

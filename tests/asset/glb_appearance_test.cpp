@@ -15,8 +15,9 @@ using testing::asset_error;
 using testing::expect_colour;
 using testing::expect_four_colours;
 using testing::GltfBuilder;
-
-constexpr int kFloat = 5126, kByte = 5121, kShort = 5123;
+using testing::kByte;
+using testing::kFloat;
+using testing::kShort;
 
 class GlbAppearance : public ::testing::Test {
  protected:

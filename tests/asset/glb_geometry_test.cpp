@@ -13,8 +13,11 @@ namespace {
 using nlohmann::json;
 using testing::asset_error;
 using testing::GltfBuilder;
-
-constexpr int kFloat = 5126, kByte = 5121, kSignedByte = 5120, kShort = 5123, kSignedShort = 5122;
+using testing::kByte;
+using testing::kFloat;
+using testing::kShort;
+using testing::kSignedByte;
+using testing::kSignedShort;
 
 class GlbGeometry : public ::testing::Test {
  protected:

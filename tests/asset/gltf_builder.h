@@ -8,6 +8,9 @@
 
 namespace tt3d::testing {
 
+/// Component types of an accessor.
+constexpr int kFloat = 5126, kByte = 5121, kSignedByte = 5120, kShort = 5123, kSignedShort = 5122;
+
 /// Makes small GLB files. It starts with a unit square in glTF's x-y plane (the x-z plane of the
 /// world) and a texture of four_colours that no material uses yet.
 class GltfBuilder {

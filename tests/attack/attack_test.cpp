@@ -2,6 +2,7 @@
 #include "tt3d/appearance.h"
 #include "tt3d/raster.h"
 
+#include <ATen/core/grad_mode.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>

@@ -19,8 +19,7 @@ namespace {
 
 using at::Tensor;
 using testing::no_transforms;
-
-double value(const Tensor& x) { return x.item<double>(); }
+using testing::value;
 
 TEST(Eot, PaddingIsBackgroundAndNeverBlack) {
   // A fully transparent rendering gives the background alone, for any placement.

@@ -15,8 +15,7 @@ namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
-
-double value(const Tensor& x) { return x.item<double>(); }
+using testing::value;
 
 TEST(TotalVariation, EqualsAComputationByHand) {
   Tensor x = at::zeros({1, 1, 3, 3}, at::kDouble);

@@ -11,8 +11,7 @@ namespace tt3d::attack {
 namespace {
 
 using at::Tensor;
-
-double value(const Tensor& x) { return x.item<double>(); }
+using testing::value;
 
 TEST(Objective, EqualsAComputationByHand) {
   const Tensor logits = at::tensor({1.F, 2.F, 4.F}).view({1, 3});

@@ -12,6 +12,8 @@
 /// A small attack for the tests on CPU and GPU.
 namespace tt3d::testing {
 
+inline double value(const at::Tensor& x) { return x.item<double>(); }
+
 /// A classifier of three classes. Its logits are `gain` times the means of red, green and blue of a
 /// picture.
 class ColorClassifier : public model::Classifier {

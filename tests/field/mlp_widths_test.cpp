@@ -13,12 +13,13 @@ using at::Tensor;
 
 constexpr int64_t kCount = 300;  // two whole blocks and a partial one
 
-struct Answer {
+struct Passes {
   Tensor y, grad_x;
   std::vector<Tensor> grad_weights;
 };
 
-Answer reference(const Tensor& x0, const std::vector<Tensor>& weights, const Tensor& grad_out) {
+Passes passes_of_tensors(const Tensor& x0, const std::vector<Tensor>& weights,
+                         const Tensor& grad_out) {
   Tensor x = x0.clone().requires_grad_(true), y = x;
   std::vector<Tensor> leaves;
   for (size_t k = 0; k < weights.size(); ++k) {
@@ -27,13 +28,14 @@ Answer reference(const Tensor& x0, const std::vector<Tensor>& weights, const Ten
     if (k + 1 < weights.size()) y = y.relu();
   }
   (y * grad_out).sum().backward();
-  Answer answer{y.detach(), x.grad(), {}};
+  Passes answer{y.detach(), x.grad(), {}};
   for (const Tensor& leaf : leaves) answer.grad_weights.push_back(leaf.grad());
   return answer;
 }
 
 template <typename T, int kVectorBytes>
-Answer ours(const Tensor& x, const std::vector<Tensor>& weights, const Tensor& grad_out) {
+Passes passes_of_kernel(const Tensor& x, const std::vector<Tensor>& weights,
+                        const Tensor& grad_out) {
   std::vector<Layer<T>> layers;
   std::vector<Tensor> turned, sums;
   std::vector<const T*> transposed;
@@ -47,7 +49,7 @@ Answer ours(const Tensor& x, const std::vector<Tensor>& weights, const Tensor& g
   }
   const Layers<T> network{layers.data(), transposed.data(), layers.size()};
   const Workspace<T> work(layers);
-  Answer answer{at::empty_like(grad_out), at::empty_like(x), {}};
+  Passes answer{at::empty_like(grad_out), at::empty_like(x), {}};
   using P = Processor<kVectorBytes>;
   forward_points<P>(x.const_data_ptr<T>(), network, work.buffers, answer.y.data_ptr<T>(), 0, kCount,
                     kCount);
@@ -70,8 +72,8 @@ void expect_reference(at::ScalarType type, double tolerance) {
                                        testing::uniform({6, 70}, -1, 1, 3).to(type)};
   const Tensor x = testing::uniform({35, kCount}, -1, 1, 4).to(type);
   const Tensor grad_out = testing::uniform({6, kCount}, -1, 1, 5).to(type);
-  const Answer want = reference(x, weights, grad_out);
-  const Answer have = ours<T, kVectorBytes>(x, weights, grad_out);
+  const Passes want = passes_of_tensors(x, weights, grad_out);
+  const Passes have = passes_of_kernel<T, kVectorBytes>(x, weights, grad_out);
   EXPECT_LT(difference(have.y, want.y), tolerance) << kVectorBytes;
   EXPECT_LT(difference(have.grad_x, want.grad_x), tolerance) << kVectorBytes;
   for (size_t k = 0; k < weights.size(); ++k) {

@@ -14,14 +14,13 @@ namespace {
 
 namespace fs = std::filesystem;
 using Json = nlohmann::json;
+using testing::toy;
 
 class Notes : public Progress {
  public:
   void note(const std::string& line) override { lines.push_back(line); }
   std::vector<std::string> lines;
 };
-
-std::string toy(const std::string& name) { return testing::fixture(name + ".pt2").string(); }
 
 /// A copy of the toy network with an edited card.
 class EditedCard {

@@ -10,7 +10,8 @@
 namespace tt3d::model {
 namespace {
 
-std::shared_ptr<Classifier> toy(const std::string& name, int64_t bytes = int64_t{1} << 30) {
+std::shared_ptr<Classifier> toy_classifier(const std::string& name,
+                                           int64_t bytes = int64_t{1} << 30) {
   ModelLimits limits;
   limits.intermediate_bytes = bytes;
   ModelOptions options;
@@ -67,7 +68,7 @@ TEST(FeatureMix, ChoosesLayersByItsProbability) {
 
 TEST(FeatureMix, PicturesAmongThemselvesAndWithoutLayersStayAsTheyAre) {
   for (const char* name : {"toy_cnn", "toy_vit"}) {
-    const auto model = toy(name);
+    const auto model = toy_classifier(name);
     const at::Tensor images = at::rand({3, 3, 16, 16}), others = at::rand({3, 3, 16, 16});
     const at::Tensor plain = model->logits(images);
     EXPECT_TRUE(model->mixed_logits(images, mix_of(images, 1)).equal(plain)) << name;
@@ -82,7 +83,7 @@ TEST(FeatureMix, PicturesAmongThemselvesAndWithoutLayersStayAsTheyAre) {
 }
 
 TEST(FeatureMix, GradientsReachThePicturesAloneAndAreRight) {
-  const auto model = toy("toy_cnn");
+  const auto model = toy_classifier("toy_cnn");
   const at::Tensor images = at::rand({2, 3, 16, 16}).requires_grad_(true);
   const at::Tensor others = at::rand({2, 3, 16, 16}).requires_grad_(true);
   const FeatureMix mix = mix_of(others, 1);
@@ -104,7 +105,7 @@ TEST(FeatureMix, BatchesInPartsGiveTheSame) {
     const at::Tensor images = at::rand({13, 3, 16, 16}), others = at::rand({13, 3, 16, 16});
     std::vector<at::Tensor> logits, gradients;
     for (const int64_t bytes : {int64_t{1} << 30, int64_t{150000}}) {
-      const auto model = toy(name, bytes);
+      const auto model = toy_classifier(name, bytes);
       const at::Tensor leaf = images.clone().requires_grad_(true);
       logits.push_back(model->mixed_logits(leaf, mix_of(others, 1)));
       (logits.back() * at::arange(7)).sum().backward();
@@ -116,7 +117,7 @@ TEST(FeatureMix, BatchesInPartsGiveTheSame) {
 }
 
 TEST(FeatureMix, WantsACompetitorForEachPicture) {
-  const auto model = toy("toy_cnn");
+  const auto model = toy_classifier("toy_cnn");
   EXPECT_THROW(
       (void)model->mixed_logits(at::rand({2, 3, 16, 16}), mix_of(at::rand({3, 3, 16, 16}))),
       InputError);

@@ -12,8 +12,7 @@ namespace tt3d::model {
 namespace {
 
 namespace fs = std::filesystem;
-
-std::string toy(const std::string& name) { return testing::fixture(name + ".pt2").string(); }
+using testing::toy;
 
 std::shared_ptr<Classifier> with_limit(const std::string& name, int64_t bytes) {
   ModelLimits limits;

@@ -23,6 +23,9 @@ inline std::filesystem::path fixture(const std::string& name) {
   return std::filesystem::path(TT3D_SOURCE_DIR) / "tests/model/fixtures" / name;
 }
 
+/// The path of a toy network.
+inline std::string toy(const std::string& name) { return fixture(name + ".pt2").string(); }
+
 inline Entries unpack(const std::filesystem::path& path) {
   Entries entries;
   zip_t* archive = zip_open(path.c_str(), ZIP_RDONLY, nullptr);

@@ -9,7 +9,7 @@
 namespace tt3d::model {
 namespace {
 
-std::string toy(const std::string& name) { return testing::fixture(name + ".pt2").string(); }
+using testing::toy;
 
 ModelOptions reduced(Precision precision, bool allow_slow) {
   ModelOptions options;

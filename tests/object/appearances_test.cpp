@@ -1,3 +1,4 @@
+#include <ATen/core/grad_mode.h>
 #include <gtest/gtest.h>
 
 #include "attack/toy_attack.h"
@@ -14,7 +15,7 @@ namespace {
 using at::Tensor;
 
 /// The unit square in z = 0, made of two triangles; its positions are also its uvs.
-struct Square {
+struct TexturedSquare {
   Tensor vertices =
       at::tensor({0., 0., 0., 1., 0., 0., 1., 1., 0., 0., 1., 0.}, at::kDouble).view({4, 3});
   Tensor faces = at::tensor({0, 1, 2, 0, 2, 3}, at::kInt).view({2, 3});
@@ -34,7 +35,7 @@ Tensor four_texels() {
 Tensor color(double r, double g, double b) { return at::tensor({r, g, b}, at::kDouble); }
 
 TEST(TextureAppearance, IsSampledBilinearlyAtTheUvs) {
-  const Square s;
+  const TexturedSquare s;
   const TextureAppearance look(four_texels(), {s.uvs, s.faces}, Part::kTexture);
   EXPECT_TRUE(at::allclose(look.color(s.at(0.25, 0.25)).flatten(), color(1, 0, 0)));
   EXPECT_TRUE(at::allclose(look.color(s.at(0.75, 0.25)).flatten(), color(0, 1, 0)));
@@ -43,7 +44,7 @@ TEST(TextureAppearance, IsSampledBilinearlyAtTheUvs) {
 }
 
 TEST(TextureAppearance, RepeatsBeyondItsBorder) {
-  const Square s;
+  const TexturedSquare s;
   const TextureAppearance once(four_texels(), {s.uvs, s.faces}, Part::kTile);
   const TextureAppearance thrice(four_texels(), {s.uvs * 3, s.faces}, Part::kTile);
   for (const double x : {0.05, 0.2, 0.3}) {
@@ -55,7 +56,7 @@ TEST(TextureAppearance, RepeatsBeyondItsBorder) {
 }
 
 TEST(Triplanar, AFacePerpendicularToAnAxisShowsTheTile) {
-  const Square s;
+  const TexturedSquare s;
   const Tensor up = color(0, 0, 1).expand({4, 3}).contiguous();
   // Two tiles cover the box [-1,1]; the square is one tile.
   const TriplanarAppearance look(four_texels(), up, s.faces, 2);
@@ -66,7 +67,7 @@ TEST(Triplanar, AFacePerpendicularToAnAxisShowsTheTile) {
 }
 
 TEST(Triplanar, AnObliqueFaceBlendsByPowersOfTheNormal) {
-  const Square s;
+  const TexturedSquare s;
   const Tensor slanted = color(0.6, 0, 0.8).expand({4, 3}).contiguous();
   const TriplanarAppearance look(four_texels(), slanted, s.faces, 2);
   // Seen along z at (0.75, 0.25): green. Along x, at (y, z) = (0.25, 0): between red and blue.
@@ -76,7 +77,7 @@ TEST(Triplanar, AnObliqueFaceBlendsByPowersOfTheNormal) {
 }
 
 TEST(Appearances, GradientsAgainstCentralDifferences) {
-  const Square s;
+  const TexturedSquare s;
   raster::SurfacePoints points = s.at(0.3, 0.2);
   points.rast = at::cat({points.rast, s.at(0.8, 0.45).rast});
   points.positions = at::cat({points.positions, s.at(0.8, 0.45).positions});
@@ -120,7 +121,7 @@ TEST(Shaded, EvenLightGivesTheAppearanceItself) {
 }
 
 TEST(Shaded, ALightFromAboveLightensUpwardFaces) {
-  const Square s;
+  const TexturedSquare s;
   const auto white = std::make_shared<TextureAppearance>(
       at::ones({2, 2, 3}, at::kDouble), scene::UvMap{s.uvs, s.faces}, Part::kTexture);
   const Tensor half = at::full({4, 3}, 0.5, at::kDouble);
