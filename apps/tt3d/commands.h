@@ -44,6 +44,8 @@ void add_run_commands(CLI::App& app, Common& common);
 void add_evaluate_commands(CLI::App& app, Common& common);
 /// `tt3d export`, `print-check`, `judge` and `video-score`.
 void add_tool_commands(CLI::App& app, Common& common);
+/// `tt3d photos`.
+void add_photos_command(CLI::App& app, Common& common);
 /// `tt3d info` and `tt3d config`.
 void add_info_commands(CLI::App& app, Common& common);
 
