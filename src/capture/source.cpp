@@ -28,9 +28,9 @@ CaptureFormat detect_format(const fs::path& folder, const fs::path& model) {
   if (fs::exists(folder / kFramesFile)) return CaptureFormat::kNerfstudio;
   if (!model.empty()) return CaptureFormat::kColmap;
   if (!image::list_pictures(folder).empty() || !image::list_pictures(folder / "images").empty()) {
-    throw InputError(folder,
-                     "holds photographs without cameras; find cameras and masks with 'tt3d photos " +
-                         folder.string() + " --out CAPTURE' and use that folder");
+    throw InputError(
+        folder, "holds photographs without cameras; find cameras and masks with 'tt3d photos " +
+                    folder.string() + " --out CAPTURE' and use that folder");
   }
   throw InputError(folder,
                    "contains no capture; expected transforms_train.json (NeRF-synthetic), "

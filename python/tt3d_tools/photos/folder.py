@@ -71,7 +71,7 @@ class Folder:
                 ) from error
         elif path.exists() and any(path.iterdir()) and not self.may_use():
             raise toolkit.InputProblem(
-                f"{path}: holds other files; give --out a new folder, or one with images/ and sparse/"
+                f"{path}: holds other files; give --out a new folder, or one with images/"
             )
         if restart:
             for step in self.record["steps"].values():
@@ -86,10 +86,9 @@ class Folder:
     def may_use(self) -> bool:
         """Tell whether a folder without a record looks like a capture that an interrupted run left
         or a user prepared."""
-        known = {"images", "sparse", "masks", "images.part", WORK}
-        return all(
-            entry.name in known or entry.name.startswith(".") for entry in self.path.iterdir()
-        )
+        known = {"images", "sparse", "masks", "gains.json", "images.part", WORK}
+        names = [entry.name for entry in self.path.iterdir()]
+        return all(name in known or name.startswith(".") for name in names)
 
     def save(self) -> None:
         """Write the record."""
@@ -121,7 +120,7 @@ class Folder:
         changed = old is not None and products != old["products"]
         same = old is not None and old["inputs"] == key
         if products and keep and (changed or old is None):
-            toolkit.note(f"{name}: {pattern.rsplit('/', 1)[0]} has your own files; they are kept")
+            toolkit.note(f"{name}: {pattern.removesuffix('/*')} is your own and is kept")
             entry = {"inputs": key, "products": products, "seconds": 0, "yours": True, "facts": {}}
         elif products and same and set(old["products"]) <= set(products):
             entry = {**old, "products": products} if keep else old

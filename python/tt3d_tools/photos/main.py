@@ -172,6 +172,20 @@ def make_masks(
     }
 
 
+def even_exposure(folder: Any, model: Any, job: dict[str, Any]) -> dict[str, Any]:
+    """Step 5."""
+    import json
+
+    from tt3d_tools.photos import gains, masks
+    from tt3d_tools.photos.folder import write_atomic
+
+    chosen = masks.object_points(model, find_floor(model, job["floor"]))
+    found = gains.find_gains(model, folder.path / "images", chosen)
+    lines = [f" {json.dumps(name)}: {json.dumps(factors)}" for name, factors in found.items()]
+    write_atomic(folder.path / "gains.json", "{\n" + ",\n".join(lines) + "\n}\n")
+    return {}
+
+
 def run_steps(job: dict[str, Any]) -> None:
     """Run all steps that are needed."""
     from tt3d_tools.photos.folder import Folder
@@ -203,6 +217,8 @@ def run_steps(job: dict[str, Any]) -> None:
     folder.step(
         "masks", inputs, "masks/*", lambda: make_masks(job, folder, model, given), keep=False
     )
+    inputs = [frames["products"], upright["products"], job["floor"]]
+    folder.step("exposure", inputs, "gains.json", lambda: even_exposure(folder, model, job))
 
 
 def work(arguments: list[str]) -> None:
