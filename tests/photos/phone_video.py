@@ -21,7 +21,9 @@ WIDTH, HEIGHT = 540, 960
 FOCAL = 0.95  # focal length over the picture's height
 
 
-def textured(name, low, high, scale, detail=2.0, voronoi=False):
+def textured(
+    name: str, low: tuple, high: tuple, scale: float, detail: float = 2.0, voronoi: bool = False
+) -> bpy.types.Material:
     """Return a material of a noise between two colours."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
@@ -42,7 +44,7 @@ def textured(name, low, high, scale, detail=2.0, voronoi=False):
     return material
 
 
-def add_room():
+def add_room() -> None:
     """Add table, floor, walls, some furniture and lamps."""
     bpy.ops.mesh.primitive_cube_add(size=1, location=(0, 0, -0.02))
     table = bpy.context.object
@@ -70,7 +72,7 @@ def add_room():
         bpy.context.object.rotation_euler = direction.to_track_quat("-Z", "Y").to_euler()
 
 
-def add_object():
+def add_object() -> bpy.types.Object:
     """Add the object, standing on the table (z = 0)."""
     bpy.ops.mesh.primitive_monkey_add(size=0.26)
     thing = bpy.context.object
@@ -89,7 +91,7 @@ def add_object():
     return thing
 
 
-def camera_path(count):
+def camera_path(count: int) -> list[Matrix]:
     """Return camera matrices: a bit more than one round, rising, with shake."""
     random = np.random.default_rng(1)
     shake = random.normal(size=(count + 8, 6))
@@ -115,7 +117,7 @@ def camera_path(count):
     return poses
 
 
-def main():
+def main() -> None:
     """Render all frames and encode them."""
     arguments = sys.argv[sys.argv.index("--") + 1 :]
     out = arguments[0]
