@@ -75,9 +75,9 @@ class Folder:
             )
         if restart:
             for step in self.record["steps"].values():
-                for name, digest in step["products"].items():
+                for name in step["products"]:
                     file = path / name
-                    if file.exists() and hash_file(file) == digest:
+                    if file.exists() and not self.is_own(hash_file(file)):
                         file.unlink()
             self.record = {"steps": {}}
             shutil.rmtree(self.work, ignore_errors=True)
@@ -89,6 +89,17 @@ class Folder:
         known = {"images", "sparse", "masks", "gains.json", "images.part", WORK}
         names = [entry.name for entry in self.path.iterdir()]
         return all(name in known or name.startswith(".") for name in names)
+
+    def claim(self, made: Path) -> None:
+        """Record files that a step has made, before it moves them to their place."""
+        known = set(self.record.get("made", []))
+        known |= {hash_file(path) for path in made.rglob("*") if path.is_file()}
+        self.record["made"] = sorted(known)
+        self.save()
+
+    def is_own(self, digest: str) -> bool:
+        """Tell whether a file with this hash is the user's: no step has made it."""
+        return digest not in self.record.get("made", [])
 
     def save(self) -> None:
         """Write the record."""
@@ -117,15 +128,20 @@ class Folder:
         old = self.record["steps"].get(name)
         key = hash_value(inputs)
         products = self.files(pattern)
-        changed = old is not None and products != old["products"]
+        yours = any(self.is_own(digest) for digest in products.values())
         same = old is not None and old["inputs"] == key
-        if products and keep and (changed or old is None):
+        if products and keep and yours:
             toolkit.note(f"{name}: {pattern.removesuffix('/*')} is your own and is kept")
-            entry = {"inputs": key, "products": products, "seconds": 0, "yours": True, "facts": {}}
+            facts = old["facts"] if old is not None else {}
+            entry = {
+                "inputs": key,
+                "products": products,
+                "seconds": 0,
+                "yours": True,
+                "facts": facts,
+            }
         elif products and same and set(old["products"]) <= set(products):
-            entry = {**old, "products": products} if keep else old
-        elif products and keep and old.get("yours"):
-            entry = {**old, "inputs": key}
+            entry = {**old, "products": products}
         else:
             start = time.monotonic()
             facts = work()

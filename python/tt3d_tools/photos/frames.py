@@ -83,6 +83,8 @@ def photographs_in(folder: Path) -> list[Path]:
         and not path.name.startswith(".")
         and path.suffix.lower() in PICTURES | HEIC
     ]
+    if not found and (folder / "images").is_dir():
+        return photographs_in(folder / "images")
     if len(found) < FEWEST:
         kinds = "JPEG, PNG, WebP, TIFF or HEIC"
         raise toolkit.InputProblem(

@@ -9,6 +9,7 @@ The job has `source` (a folder of photographs or a video), `out`, `up` (auto or 
 from __future__ import annotations
 
 import errno
+import shutil
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -33,9 +34,13 @@ def source_files(source: Path) -> list[Any]:
 def make_frames(job: dict[str, Any], folder: Any) -> dict[str, Any]:
     """Step 1."""
     from tt3d_tools.photos import frames
+    from tt3d_tools.photos.folder import replace_folder
 
     toolkit.stage("photographs")
-    found = frames.write_frames(Path(job["source"]), folder.path / "images")
+    part = folder.work / "images"
+    found = frames.write_frames(Path(job["source"]), part)
+    folder.claim(part)
+    replace_folder(part, folder.path / "images")
     return {"frames": [asdict(frame) for frame in found]}
 
 
@@ -69,6 +74,7 @@ def make_cameras(job: dict[str, Any], folder: Any, frames: list[Any]) -> dict[st
     model = cameras.find_cameras(job["source"], frames, folder.path / "images", folder.work)
     made = folder.work / "cameras.part"
     sparse.write_text(model, made)
+    folder.claim(made)
     replace_folder(made, folder.work / "cameras")
     return {"registered": len(model.views), "photographs": len(frames), "points": len(model.points)}
 
@@ -87,6 +93,7 @@ def turn_upright(job: dict[str, Any], folder: Any) -> dict[str, Any]:
     sparse.write_text(model, made)
     images = made / "images.txt"
     images.write_text(UPRIGHT + images.read_text())
+    folder.claim(made)
     replace_folder(made, folder.path / "sparse" / "0")
     facts["rotation"] = np.round(facts["rotation"], 9).tolist()
     return facts
@@ -123,19 +130,19 @@ def own_masks(folder: Any, model: Any) -> dict[int, Any]:
     """Return the masks that the user made, by view, bool [H,W] in the size of the photograph."""
     import cv2
 
-    old = folder.record["steps"].get("masks", {}).get("products", {})
     given = {}
     for name, digest in folder.files("masks/*").items():
-        if old.get(name) == digest:
+        if not folder.is_own(digest):
             continue
         stem = Path(name).stem
         index = [
             i for i, v in enumerate(model.views) if stem in (Path(v.name).stem, Path(v.name).name)
         ]
         mask = cv2.imread(str(folder.path / name), cv2.IMREAD_GRAYSCALE)
-        if not index or mask is None:
+        if mask is None or not (index or list((folder.path / "images").glob(f"{stem}.*"))):
             raise toolkit.InputProblem(f"{folder.path / name}: is not the mask of a photograph")
-        given[index[0]] = mask > WHITE
+        if index:
+            given[index[0]] = mask > WHITE
     return given
 
 
@@ -150,18 +157,23 @@ def make_masks(
     toolkit.stage("masks")
     place = find_floor(model, job["floor"])
     pictures, space, solid = masks.make_masks(model, place, folder.path / "images", given)
-    target = folder.path / "masks"
-    target.mkdir(exist_ok=True)
+    made = folder.work / "masks"
+    shutil.rmtree(made, ignore_errors=True)
+    made.mkdir()
     for picture in pictures:
         if picture.given:
             continue
         view = model.views[picture.index]
         lens = model.lens(view)
         full = masks.resize_mask(picture.mask, (lens.width, lens.height))
-        part = folder.work / "mask.part.png"
-        if not cv2.imwrite(str(part), full.astype("uint8") * 255):
-            raise OSError(errno.ENOSPC, "cannot write a mask", str(part))
-        part.replace(target / (Path(view.name).stem + ".png"))
+        path = made / (Path(view.name).stem + ".png")
+        if not cv2.imwrite(str(path), full.astype("uint8") * 255):
+            raise OSError(errno.ENOSPC, "cannot write a mask", str(path))
+    folder.claim(made)
+    target = folder.path / "masks"
+    target.mkdir(exist_ok=True)
+    for path in made.iterdir():
+        path.replace(target / path.name)
     hull = space.centres[solid]
     return {
         "floor": place.floor,
@@ -177,12 +189,15 @@ def even_exposure(folder: Any, model: Any, job: dict[str, Any]) -> dict[str, Any
     import json
 
     from tt3d_tools.photos import gains, masks
-    from tt3d_tools.photos.folder import write_atomic
 
     chosen = masks.object_points(model, find_floor(model, job["floor"]))
     found = gains.find_gains(model, folder.path / "images", chosen)
     lines = [f" {json.dumps(name)}: {json.dumps(factors)}" for name, factors in found.items()]
-    write_atomic(folder.path / "gains.json", "{\n" + ",\n".join(lines) + "\n}\n")
+    made = folder.work / "gains"
+    made.mkdir(exist_ok=True)
+    (made / "gains.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
+    folder.claim(made)
+    (made / "gains.json").replace(folder.path / "gains.json")
     return {}
 
 
@@ -213,7 +228,8 @@ def run_steps(job: dict[str, Any]) -> None:
     )
     model = standing_model(folder, job)
     given = own_masks(folder, model)
-    inputs = [frames["products"], upright["products"], job["floor"], sorted(given)]
+    own = {n: d for n, d in folder.files("masks/*").items() if folder.is_own(d)}
+    inputs = [frames["products"], upright["products"], job["floor"], own]
     folder.step(
         "masks", inputs, "masks/*", lambda: make_masks(job, folder, model, given), keep=False
     )
