@@ -210,7 +210,7 @@ def run_steps(job: dict[str, Any]) -> None:
     folder.record["source"] = job["source"]
     frames = folder.step("photographs", source, "images/*", lambda: make_frames(job, folder))
     list_of_frames = frames_of(frames, folder)
-    own_model = folder.files("sparse/0/*") and "upright" not in folder.record["steps"]
+    own_model = any(folder.is_own(digest) for digest in folder.files("sparse/0/*").values())
     cameras = {"products": {}}
     if not own_model:
         cameras = folder.step(

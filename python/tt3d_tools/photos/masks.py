@@ -23,6 +23,7 @@ SIDE = 640  # pixels, longest side on which GrabCut works
 GRID = 112  # voxels along the longest side of the box
 SEEN = 0.8  # fraction of the views that must see a place of the object
 ROUNDS = ((0.75, 400), (0.85, 400), (0.88, SIDE))  # agreement of the views, pixels
+AGREED = 0.92  # fraction of the views that must agree with the final hull, which cuts all masks
 CORE = 0.97  # fraction of the views that make a voxel object against a view's own mask
 MARGIN = 0.05  # of the picture's longer side: how far the object may reach beyond its points
 BAND = 0.03  # of the picture's longer side: how far the object may reach beyond the hull
@@ -358,6 +359,12 @@ def rounds_of(
             improve(picture, before, core, seeds_of(model, picture, of_object, place))
             toolkit.progress(len(pictures) * (number + 1) + picture.index + 1, total)
         pictures = fresh
+    space = make_space(model, place, reach)
+    solid = main_body(space, carve(model, space, pictures) >= AGREED, place)
+    for picture in pictures:
+        if not picture.given and solid.any():
+            hull = silhouette(model, space, solid, picture)
+            picture.mask = clean(picture.mask & grow(hull, 2), hull)
     return pictures, space, solid
 
 
