@@ -6,9 +6,11 @@ photographs where the matrix product here takes 75 s (two cores).
 
 from __future__ import annotations
 
+import json
 import shutil
 import sqlite3
 import subprocess
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -144,7 +146,15 @@ def watch_colmap(command: list[str], mark: str, total: int, log: Path) -> None:
 
 
 def match_pictures(frames: list[Frame], images: Path, work: Path, effort: int) -> Path:
-    """Write the database with features and raw matches; return the text of the matches."""
+    """Write the database with features and raw matches; return the text of the matches.
+
+    Both are kept if an interrupted call with the same pictures has completed them.
+    """
+    text, stamp = work / "matches.txt", work / "matches.json"
+    key = json.dumps([effort, [asdict(frame) for frame in frames]])
+    if stamp.exists() and stamp.read_text() == key and text.exists():
+        return text
+    stamp.unlink(missing_ok=True)
     toolkit.stage("features")
     features = []
     for number, frame in enumerate(frames, 1):
@@ -154,7 +164,6 @@ def match_pictures(frames: list[Frame], images: Path, work: Path, effort: int) -
     create_database(work / "database.db", frames, features)
     every = [(i, j) for i in range(len(frames)) for j in range(i + 1, len(frames))]
     pairs = pairs_to_match(features) if effort == 1 else every
-    text = work / "matches.txt"
     with open(text, "w") as out:
         for number, (i, j) in enumerate(pairs, 1):
             found = match(features[i][1], features[j][1])
@@ -162,6 +171,7 @@ def match_pictures(frames: list[Frame], images: Path, work: Path, effort: int) -
                 lines = "".join(f"{a} {b}\n" for a, b in found)
                 out.write(f"{frames[i].name} {frames[j].name}\n{lines}\n")
             toolkit.progress(number, len(pairs))
+    stamp.write_text(key)
     return text
 
 
