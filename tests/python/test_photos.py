@@ -247,7 +247,7 @@ def test_up_of_a_tilted_ring_is_found(scene: list) -> None:
     ]
     model = sparse.Model({1: lens}, views, np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     up = upright.camera_up(model)
-    assert np.degrees(np.arccos(up @ tilt[2])) < 2
+    assert np.degrees(np.arccos(up @ tilt[:, 2])) < 2
 
 
 def test_rotation_to_z() -> None:

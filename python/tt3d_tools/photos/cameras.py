@@ -142,6 +142,8 @@ def watch_colmap(command: list[str], mark: str, total: int, log: Path) -> None:
     if child.returncode != 0:
         lines = [line for line in log.read_text().splitlines() if line.strip()]
         last = lines[-1] if lines else "no message"
+        if "failed to create sparse model" in last:
+            return  # no two pictures fit together; check_registered gives advice
         raise toolkit.ToolError(f"colmap {command[0]} failed: {last} (see {log})")
 
 
