@@ -4,9 +4,12 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdint>
+#include <filesystem>
 #include <memory>
+#include <nlohmann/json_fwd.hpp>
 #include <string>
 
+#include "tt3d/capture.h"
 #include "tt3d/core.h"
 #include "tt3d/gpu_options.h"
 #include "tt3d/record.h"
@@ -44,12 +47,21 @@ void add_run_commands(CLI::App& app, Common& common);
 void add_evaluate_commands(CLI::App& app, Common& common);
 /// `tt3d export`, `print-check`, `judge` and `video-score`.
 void add_tool_commands(CLI::App& app, Common& common);
+/// `tt3d photos`.
+void add_photos_command(CLI::App& app, Common& common);
 /// `tt3d info` and `tt3d config`.
 void add_info_commands(CLI::App& app, Common& common);
+
+/// The judgement of a capture, as `tt3d info` and the page of `tt3d photos` show it.
+[[nodiscard]] nlohmann::json quality_json(const capture::CaptureQuality& quality);
 
 /// A progress display on stderr. On a terminal it updates one line; elsewhere it prints notes only.
 /// Ctrl-C stops long work.
 [[nodiscard]] std::unique_ptr<Progress> make_progress(const Common& common);
+
+/// Writes the reconstructed object of a run, before any attack, and returns its file.
+[[nodiscard]] std::filesystem::path clean_asset(const std::filesystem::path& run,
+                                                const Common& common);
 
 /// Prints an evaluation on stdout, as a table or, with --json, as JSON.
 void print_record(const record::EvaluationRecord& record, const Common& common);

@@ -51,6 +51,9 @@ void turntable(const EvaluateArguments& a, const Common& common) {
 }
 
 void render(EvaluateArguments& a, const Common& common) {
+  if (std::filesystem::exists(a.options.asset / "run.json")) {
+    a.options.asset = clean_asset(a.options.asset, common);
+  }
   if (a.make_video) return turntable(a, common);
   apply(a, common);
   const auto progress = make_progress(common);
@@ -92,9 +95,13 @@ void add_evaluate(CLI::App& app, Common& common) {
 
 void add_render(CLI::App& app, Common& common) {
   auto a = std::make_shared<EvaluateArguments>();
-  CLI::App* command =
-      app.add_subcommand("render", "render views of an asset as a NeRF-synthetic capture");
-  command->add_option("ASSET", a->options.asset, "GLB, glTF or OBJ")->required();
+  CLI::App* command = app.add_subcommand(
+      "render",
+      "render views of an asset, or of a run's reconstructed object, as a NeRF-synthetic capture");
+  command
+      ->add_option("ASSET", a->options.asset,
+                   "GLB, glTF or OBJ; or a run folder: the object before any attack")
+      ->required();
   command->add_option("--out", a->out, "output folder; with --video an .mp4 file")->required();
   command->add_flag("--video", a->make_video, "render a video once around the object (ffmpeg)");
   command->add_option("--seconds", a->video.seconds, "length of the video, seconds")

@@ -17,6 +17,29 @@
 namespace tt3d::cli {
 namespace fs = std::filesystem;
 using nlohmann::json;
+
+json quality_json(const capture::CaptureQuality& q) {
+  json views = json::array();
+  for (const capture::ViewQuality& v : q.views) {
+    views.push_back({{"name", v.name},
+                     {"hull_overlap", v.hull_overlap},
+                     {"mask_share", v.mask_share},
+                     {"sharpness", v.sharpness},
+                     {"brightness", v.brightness},
+                     {"azimuth_deg", v.azimuth_deg},
+                     {"elevation_deg", v.elevation_deg},
+                     {"problem", v.problem}});
+  }
+  return {{"hull_overlap", q.hull_overlap},
+          {"coverage", q.coverage},
+          {"largest_gap_deg", q.largest_gap_deg},
+          {"elevations_deg", {q.lowest_deg, q.highest_deg}},
+          {"sharpness", q.sharpness},
+          {"exposure_spread", q.exposure_spread},
+          {"advice", q.advice},
+          {"views", views}};
+}
+
 namespace {
 
 json capture_info(const fs::path& path, Progress& progress) {
@@ -24,17 +47,23 @@ json capture_info(const fs::path& path, Progress& progress) {
   options.path = path;
   const capture::Capture c = capture::load_capture(options, progress);
   const scene::ViewFrame frame = capture::capture_view_frame(c);
-  return {{"kind", "capture"},
-          {"format", name_of(c.format)},
-          {"train_views", c.train.size()},
-          {"test_views", c.test.size()},
-          {"masks", c.has_masks},
-          {"width", c.train[0].camera.width},
-          {"height", c.train[0].camera.height},
-          {"scale", c.normalization.scale},
-          {"centre", c.normalization.centre},
-          {"distance", frame.distance / c.normalization.scale},
-          {"fov_y_deg", frame.fov_y_deg}};
+  const json judged = quality_json(capture::assess_capture(c, progress));
+  json j = {{"kind", "capture"},
+            {"format", name_of(c.format)},
+            {"train_views", c.train.size()},
+            {"test_views", c.test.size()},
+            {"masks", c.has_masks},
+            {"width", c.train[0].camera.width},
+            {"height", c.train[0].camera.height},
+            {"scale", c.normalization.scale},
+            {"centre", c.normalization.centre},
+            {"distance", frame.distance / c.normalization.scale},
+            {"fov_y_deg", frame.fov_y_deg},
+            {"up", c.normalization.up}};
+  for (const auto& [key, value] : judged.items()) {
+    if (key != "views") j[key] = value;
+  }
+  return j;
 }
 
 json asset_info(const fs::path& path, Progress& progress) {

@@ -69,6 +69,7 @@ int run_program(int argc, char** argv) {
   app.require_subcommand(1);
   app.fallthrough(false);
   Common common;
+  add_photos_command(app, common);
   add_run_commands(app, common);
   add_evaluate_commands(app, common);
   add_tool_commands(app, common);

@@ -19,7 +19,7 @@ struct RunArguments {
   std::string config, capture, run, asset, out;
   std::vector<std::string> sets, also, runs;
   std::vector<run::Assignment> assignments;  ///< options for configuration keys
-  bool restart = false;
+  bool restart = false, clean = false;
 };
 
 void print_summary(const run::Run& run, const Common& common) {
@@ -51,6 +51,38 @@ void apply_seed(run::RunConfig& config, const Common& common, const CLI::App& co
   if (command.count("--seed") > 0) config.seed = common.seed;
 }
 
+/// Removes the folder of a run that its input refused before any stage began, if this command made
+/// it.
+class FreshFolder {
+ public:
+  explicit FreshFolder(fs::path folder)
+      : folder_(std::move(folder)), fresh_(!fs::exists(folder_)) {}
+  void refused() const {
+    if (!fresh_ || !fs::is_directory(folder_)) return;
+    for (const auto& entry : fs::directory_iterator(folder_)) {
+      const std::string name = entry.path().filename().string();
+      if (name != "run.json" && name != ".lock") return;
+    }
+    std::error_code ignored;
+    fs::remove_all(folder_, ignored);
+  }
+
+ private:
+  fs::path folder_;
+  bool fresh_;
+};
+
+/// Runs the stages of a new or resumed run folder.
+void run_stages(run::Run& run, const std::string& last, const FreshFolder& folder,
+                Progress& progress) {
+  try {
+    run.run_until(last, progress);
+  } catch (const InputError&) {
+    folder.refused();
+    throw;
+  }
+}
+
 void run_all(const RunArguments& a, const Common& common, const CLI::App& command) {
   const at::Device device = apply_common(common);
   run::RunConfig config = run::load_config(a.config);
@@ -59,9 +91,10 @@ void run_all(const RunArguments& a, const Common& common, const CLI::App& comman
   const fs::path out =
       a.run.empty() ? fs::path("runs") / fs::path(a.config).stem() : fs::path(a.run);
   const auto progress = make_progress(common);
+  const FreshFolder folder(out);
   run::Run run(out, config, a.restart);
   run.use_device(device);
-  run.run_until("report", *progress);
+  run_stages(run, "report", folder, *progress);
   print_summary(run, common);
 }
 
@@ -72,9 +105,10 @@ void fit(const RunArguments& a, const Common& common, const CLI::App& command) {
   run::set_all(config, a.sets);
   apply_seed(config, common, command);
   const auto progress = make_progress(common);
+  const FreshFolder folder(a.run);
   run::Run run(a.run, config, a.restart);
   run.use_device(device);
-  run.run_until("field", *progress);
+  run_stages(run, "field", folder, *progress);
   std::cout << read_file(run.folder() / "field" / "metrics.json");
 }
 
@@ -248,7 +282,15 @@ void add_bake(CLI::App& app, Common& common) {
   auto a = std::make_shared<RunArguments>();
   CLI::App* command = stage_command(app, common, *a, "bake",
                                     "write textured files of the clean and the adversarial object");
+  command->add_flag("--clean", a->clean, "only the reconstructed object, before any attack");
   command->callback([a, &common, command] {
+    if (a->clean) {
+      if (!a->sets.empty() || a->restart) {
+        throw InputError("bake --clean: takes neither --set nor --restart");
+      }
+      std::cout << clean_asset(a->run, common).string() << "\n";
+      return;
+    }
     std::cout << (continue_run(*a, common, *command, "bake").folder() / "asset").string() << "\n";
   });
 }
@@ -275,6 +317,15 @@ void add_run_commands(CLI::App& app, Common& common) {
   add_attack(app, common);
   add_bake(app, common);
   add_report(app, common);
+}
+
+fs::path clean_asset(const fs::path& folder, const Common& common) {
+  const at::Device device = apply_common(common);
+  run::Run run = run::Run::open(folder);
+  run.use_device(device);
+  const auto progress = make_progress(common);
+  run.bake_clean(*progress);
+  return run.folder() / "asset" / "clean.glb";
 }
 
 void print_record(const record::EvaluationRecord& r, const Common& common) {

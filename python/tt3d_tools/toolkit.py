@@ -62,6 +62,11 @@ def progress(done: int, total: int) -> None:
     print(f"@progress {done} {total}", flush=True)
 
 
+def stage(name: str) -> None:
+    """Begin a stage of the work; the progress that follows is shown under its name."""
+    print(f"@stage {name}", flush=True)
+
+
 def note(text: str) -> None:
     """Send a line to tt3d for the user."""
     print(f"@note {text}", flush=True)

@@ -5,6 +5,7 @@
 
 #include "tt3d/asset.h"
 #include "tt3d/json.h"
+#include "tt3d/linear.h"
 
 namespace tt3d::asset {
 namespace {
@@ -56,6 +57,9 @@ scene::ViewFrame view_frame(const TexturedMesh& asset, const std::filesystem::pa
   frame.radius = value.at("radius").as<double>();
   frame.distance = value.at("distance").as<double>();
   frame.fov_y_deg = value.at("fov_y_deg").as<double>();
+  if (value.has("up")) {
+    frame.up = scene::linear::normalized(value.at("up").as<std::array<double, 3>>());
+  }
   if (!(frame.radius > 0) || !(frame.distance > 0) || !(frame.fov_y_deg > 0)) {
     throw InputError(path, "radius, distance and fov_y_deg must be positive");
   }
@@ -63,10 +67,12 @@ scene::ViewFrame view_frame(const TexturedMesh& asset, const std::filesystem::pa
 }
 
 void write_view_frame(const scene::ViewFrame& frame, const std::filesystem::path& folder) {
-  write_json(folder / kFrameFile, {{"centre", frame.centre},
-                                   {"radius", frame.radius},
-                                   {"distance", frame.distance},
-                                   {"fov_y_deg", frame.fov_y_deg}});
+  nlohmann::json values = {{"centre", frame.centre},
+                           {"radius", frame.radius},
+                           {"distance", frame.distance},
+                           {"fov_y_deg", frame.fov_y_deg}};
+  if (frame.up[2] != 1) values["up"] = frame.up;
+  write_json(folder / kFrameFile, values);
 }
 
 }  // namespace tt3d::asset

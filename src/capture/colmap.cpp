@@ -100,6 +100,13 @@ RawView make_view(const fs::path& folder, const ColmapModel& model, const Colmap
   return view;
 }
 
+/// True if the model is from 'tt3d photos', which turns it and says so in the first line.
+bool says_upright(const fs::path& model) {
+  const fs::path file = model / "images.txt";
+  std::error_code error;
+  return fs::exists(file, error) && read_file(file).starts_with("# tt3d: the world is upright");
+}
+
 }  // namespace
 
 const ColmapLens* colmap_lens(int model) {
@@ -127,6 +134,7 @@ RawCapture read_colmap(const CaptureSource& source) {
   capture.notes = std::move(model.notes);
   drop_repeats(capture.train, capture.notes);
   capture.points = std::move(model.points);
+  capture.upright = says_upright(source.cameras);
   for (const fs::path& file : model.files) capture.files.push_back(absolute_name(file));
   return capture;
 }

@@ -1,11 +1,13 @@
 #include <ATen/ATen.h>
 
+#include "gains.h"
 #include "load_views.h"
 #include "mask_files.h"
 #include "normalize.h"
 #include "raw_view.h"
 #include "split.h"
 #include "tt3d/memory.h"
+#include "upright.h"
 
 namespace tt3d::capture {
 
@@ -95,6 +97,8 @@ Capture load_capture(const CaptureOptions& options, Progress& progress) {
   const CaptureSource source = find_source(options);
   RawCapture raw = read_views(options, source);
   for (const std::string& line : raw.notes) progress.note(line);
+  Capture capture;
+  capture.normalization.up = up_of_capture(options.up, source.format, raw, progress);
   // Both splits together, so that the checks of masks cover all images.
   const size_t train_count = raw.train.size();
   std::vector<RawView> all = std::move(raw.train);
@@ -102,9 +106,10 @@ Capture load_capture(const CaptureOptions& options, Progress& progress) {
   MaskFiles(source.folder).assign(all);
   std::vector<LoadedView> views = load_views(all, options.max_size, free_memory_bytes(), progress);
 
-  Capture capture;
   capture.format = source.format;
   capture.files = files_of(raw.files, all);
+  capture.has_gains = apply_gains(source.folder, all, views);
+  if (capture.has_gains) capture.files.push_back(absolute_name(source.folder / "gains.json"));
   capture.has_masks = agree_on_masks(all, views);
   note_masks(all, views, capture.has_masks, progress);
   for (size_t i = 0; i < views.size(); ++i) {

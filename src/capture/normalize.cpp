@@ -136,7 +136,8 @@ void normalize_capture(Capture& capture, const std::vector<Vec3>& points,
   if (!(ball.radius > 0) || !std::isfinite(ball.radius)) {
     throw InputError(path, "the object has no size: all cameras are at the same point");
   }
-  capture.normalization = {kFill / ball.radius, ball.centre};
+  capture.normalization.scale = kFill / ball.radius;
+  capture.normalization.centre = ball.centre;
   capture.object_radius = kFill;
   for (std::vector<View>* views : {&capture.train, &capture.test}) {
     for (View& view : *views) view.camera = capture.normalization.to_inside(view.camera);

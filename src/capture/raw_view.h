@@ -32,6 +32,7 @@ struct RawView {
 struct RawCapture {
   std::vector<RawView> train;
   std::vector<RawView> test;
+  bool upright = false;                     ///< a COLMAP model that says that its world has +Z up
   std::vector<scene::linear::Vec3> points;  ///< sparse points of the scene, if the format has them
   std::vector<std::string> files;           ///< camera files read, absolute
   std::vector<std::string> notes;           ///< what the user should know, a line each

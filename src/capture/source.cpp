@@ -23,10 +23,21 @@ std::string other_json(const fs::path& folder) {
   return "; to read another JSON file, give its path, for example " + files[0].string();
 }
 
+bool holds_pictures(const fs::path& folder) {
+  return fs::is_directory(folder) && !image::list_pictures(folder).empty();
+}
+
 CaptureFormat detect_format(const fs::path& folder, const fs::path& model) {
   if (fs::exists(folder / kTrainFile)) return CaptureFormat::kNerfSynthetic;
   if (fs::exists(folder / kFramesFile)) return CaptureFormat::kNerfstudio;
   if (!model.empty()) return CaptureFormat::kColmap;
+  if (holds_pictures(folder) || holds_pictures(folder / "images")) {
+    throw InputError(folder,
+                     "contains no capture, but photographs without cameras; find cameras and masks "
+                     "with 'tt3d photos " +
+                         folder.string() + " --out CAPTURE' and use that folder" +
+                         other_json(folder));
+  }
   throw InputError(folder,
                    "contains no capture; expected transforms_train.json (NeRF-synthetic), "
                    "transforms.json (nerfstudio) or a COLMAP model in sparse/0" +

@@ -63,6 +63,9 @@ class Listener {
       if (!begun_) progress_.begin(stage_, total, 0);
       begun_ = true;
       progress_.update(done, {});
+    } else if (text.starts_with("@stage ")) {
+      end();
+      stage_ = text.substr(7);
     } else if (text.starts_with("@note ")) {
       progress_.note(text.substr(6));
     } else {
@@ -71,11 +74,12 @@ class Listener {
   }
   void end() {
     if (begun_) progress_.end();
+    begun_ = false;
   }
   std::string output;
 
  private:
-  const std::string& stage_;
+  std::string stage_;
   Progress& progress_;
   bool begun_ = false;
 };

@@ -224,7 +224,8 @@ RadianceField fit_field(const capture::Capture& capture, const FieldOptions& opt
                         const std::filesystem::path& checkpoint, Progress& progress) {
   if (!capture.has_masks) {
     throw InputError(
-        "the capture has no masks; add an alpha channel to the photographs, or mask_path entries");
+        "the capture has no masks; make them with 'tt3d photos', or add an alpha channel or mask "
+        "files");
   }
   FieldTraining training(capture, options, seed);
   optimize::run_loop(training,

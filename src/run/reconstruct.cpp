@@ -48,6 +48,7 @@ scene::Placement placement_of(const asset::TexturedMesh& asset, const fs::path& 
   scene::Placement placement;
   placement.frame = asset::view_frame(asset, path);
   const auto& c = placement.frame.centre;
+  const auto up = placement.frame.up;
   const Tensor centre = at::tensor({c[0], c[1], c[2]}, at::kDouble);
   const double radius = (asset.vertices.to(at::kDouble) - centre).norm(2, {1}).max().item<double>();
   placement.normalization = {1 / radius, placement.frame.centre};
@@ -56,7 +57,33 @@ scene::Placement placement_of(const asset::TexturedMesh& asset, const fs::path& 
                      placement.frame.radius / radius,
                      placement.frame.distance / radius,
                      placement.frame.fov_y_deg};
+  // The frame of the views is upright inside.
+  placement.normalization.up = up;
   return placement;
+}
+
+/// Notes what falls outside what the meshes of the shipped captures have: 29.6 to 33 dB, one piece,
+/// Euler characteristic -36 to 2 (README).
+void warn_of_mesh(const mesh::MeshFacts& facts, double psnr, Progress& progress) {
+  constexpr double kLeastPsnr = 26;
+  constexpr int64_t kLeastEuler = -80;
+  std::string found, remedy;
+  const auto add = [&](const std::string& text, const std::string& what) {
+    found += (found.empty() ? "" : ", ") + text;
+    remedy += (remedy.empty() ? "" : "; ") + what;
+  };
+  if (psnr > 0 && psnr < kLeastPsnr) {
+    add("PSNR " + std::to_string(std::lround(psnr)) + " dB (good captures: 29 or more)",
+        "look at the masks and cameras with 'tt3d info CAPTURE' or 'tt3d photos'");
+  }
+  if (facts.components > 1) {
+    add(std::to_string(facts.components) + " pieces (1)", "raise mesh.min_component");
+  }
+  if (facts.euler < kLeastEuler) {
+    add("Euler characteristic " + std::to_string(facts.euler) + " (-36 to 2), so many small holes",
+        "train longer (field.steps), or raise mesh.close_gaps");
+  }
+  if (!found.empty()) progress.note("the mesh has " + found + "; " + remedy);
 }
 
 }  // namespace
@@ -97,7 +124,9 @@ void Run::run_mesh(Progress& progress) {
   const object::Object object =
       mesh::refine_mesh(mesh::extract_mesh(field, config_.mesh, progress), field.appearance, photos,
                         config_.mesh, config_.seed, folder_ / "mesh" / kCheckpoint, progress);
-  save_mesh_stage(object, photos.normalization, object_psnr(object, photos, progress));
+  const double psnr = object_psnr(object, photos, progress);
+  save_mesh_stage(object, photos.normalization, psnr);
+  warn_of_mesh(mesh::inspect(object.mesh), psnr, progress);
 }
 
 void Run::import_asset(Progress& progress) {

@@ -165,6 +165,17 @@ void Run::write_asset(const std::string& name, const scene::TriMesh& mesh,
   asset::write_obj(asset, folder / (name + ".obj"));
 }
 
+void Run::bake_clean(Progress& progress) {
+  run_until("mesh", progress);
+  const fs::path folder = folder_ / "asset";
+  const scene::Placement placed = placement(progress);
+  const scene::Normalization& n = placed.normalization;
+  const object::Object clean = clean_object();
+  const scene::UvMap map = uv_map(clean.mesh, folder);
+  asset::write_view_frame(n.to_world(placed.frame), folder);
+  write_asset("clean", clean.mesh, *clean.appearance, map, clean.mesh, n);
+}
+
 void Run::run_bake(Progress& progress) {
   const fs::path folder = folder_ / "asset";
   const scene::Placement placed = placement(progress);

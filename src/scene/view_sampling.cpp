@@ -103,6 +103,16 @@ Mat4 sample_paper(Random& random, const ViewFrame& view_frame, SampledView& view
   return frame(x, y, back, target + view.distance * back);
 }
 
+/// Turns a pose around the centre of the frame so that the frame's up direction takes the place of
+/// +Z.
+Mat4 turned_up(const Mat4& pose, const ViewFrame& view_frame) {
+  if (view_frame.up[2] == 1) return pose;
+  const Mat4 back = transposed(rotation_to_z(view_frame.up));
+  const Vec3 offset = column(pose, 3) - view_frame.centre;
+  return frame(rotated(back, column(pose, 0)), rotated(back, column(pose, 1)),
+               rotated(back, column(pose, 2)), view_frame.centre + rotated(back, offset));
+}
+
 using Sampler = Mat4 (*)(Random&, const ViewFrame&, SampledView&);
 
 Sampler sampler_of(ViewDistribution distribution) {
@@ -118,7 +128,7 @@ std::vector<SampledView> sample_views(ViewDistribution distribution, uint64_t se
   std::vector<SampledView> views(static_cast<size_t>(std::max<int64_t>(count, 0)));
   for (size_t i = 0; i < views.size(); ++i) {
     Random random(seed, "views/" + name_of(distribution), static_cast<uint64_t>(first) + i);
-    const Mat4 pose = sampler(random, view_frame, views[i]);
+    const Mat4 pose = turned_up(sampler(random, view_frame, views[i]), view_frame);
     views[i].camera = square_camera(pose, size, view_frame);
   }
   return views;
@@ -129,7 +139,7 @@ SampledView orbit_view(const ViewFrame& frame, double azimuth_deg, double elevat
   view.azimuth_deg = azimuth_deg;
   view.elevation_deg = elevation_deg;
   view.distance = frame.distance;
-  view.camera = square_camera(orbit_pose(frame.centre, view), size, frame);
+  view.camera = square_camera(turned_up(orbit_pose(frame.centre, view), frame), size, frame);
   return view;
 }
 

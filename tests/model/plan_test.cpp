@@ -20,7 +20,7 @@ at::Tensor channels_last(const at::Tensor& tensor) {
   return tensor.contiguous(at::MemoryFormat::ChannelsLast);
 }
 
-double cosine(const at::Tensor& a, const at::Tensor& b) {
+double cosine_of(const at::Tensor& a, const at::Tensor& b) {
   return ((a * b).sum() / (a.norm() * b.norm())).item<double>();
 }
 
@@ -114,7 +114,7 @@ TEST(PlanDepthwise, StoresBfloat16RoundedToNearest) {
 
 // ---- Plans --------------------------------------------------------------------------------
 
-Input constant(c10::IValue value) {
+Input fixed(c10::IValue value) {
   Input input;
   input.constant = std::move(value);
   return input;
@@ -157,21 +157,21 @@ class Builder {
 
   Slot conv(Slot in, const at::Tensor& w, int64_t stride, int64_t padding, int64_t groups = 1,
             int64_t dilation = 1) {
-    const auto two = [](int64_t n) { return constant(std::vector<int64_t>{n, n}); };
+    const auto two = [](int64_t n) { return fixed(std::vector<int64_t>{n, n}); };
     const Slot bias = weight(at::randn({w.size(0)}) * 0.3);
     return add("conv2d.default", {read(in), read(weight(w * 0.3)), read(bias), two(stride),
-                                  two(padding), two(dilation), constant(groups)});
+                                  two(padding), two(dilation), fixed(groups)});
   }
   Slot relu(Slot in) { return add("relu.default", {read(in)}); }
-  Slot relu6(Slot in) { return add("hardtanh.default", {read(in), constant(0.0), constant(6.0)}); }
-  Slot sum(Slot a, Slot b) { return add("add.Tensor", {read(a), read(b), constant(1)}); }
+  Slot relu6(Slot in) { return add("hardtanh.default", {read(in), fixed(0.0), fixed(6.0)}); }
+  Slot sum(Slot a, Slot b) { return add("add.Tensor", {read(a), read(b), fixed(1)}); }
 
   /// Averages the pictures and gives five logits.
   Graph finish(Slot features, int64_t channels) {
-    const Slot mean = add("mean.dim", {read(features), constant(std::vector<int64_t>{2, 3}),
-                                       constant(false), constant({})});
+    const Slot mean = add("mean.dim", {read(features), fixed(std::vector<int64_t>{2, 3}),
+                                       fixed(false), fixed({})});
     const Slot linear = weight(at::randn({5, channels}));
-    graph.output = add("linear.default", {read(mean), read(linear), constant({})});
+    graph.output = add("linear.default", {read(mean), read(linear), fixed({})});
     find_last_uses(graph);
     return graph;
   }
@@ -209,7 +209,7 @@ void expect_same(const Graph& graph, const std::string& what) {
       const auto found = run([&](const at::Tensor& leaf) { return plan->logits(leaf, meter); });
       EXPECT_TRUE(at::allclose(found.first, expected.first, 1e-4, 1e-4)) << what;
       const double least = precision == Precision::kFloat32 ? 0.99999 : 0.99;
-      EXPECT_GT(cosine(found.second, expected.second), least) << what;
+      EXPECT_GT(cosine_of(found.second, expected.second), least) << what;
       const double ratio = (found.second.norm() / expected.second.norm()).item<double>();
       EXPECT_NEAR(ratio, 1, precision == Precision::kFloat32 ? 1e-4 : 0.02) << what;
     }
@@ -224,7 +224,7 @@ TEST(Plan, InvertedResidualsEqualTheGraph) {
   Builder b(17);
   const Slot pad = b.add(
       "constant_pad_nd.default",
-      {Builder::read(b.graph.input), constant(std::vector<int64_t>{0, 1, 0, 1}), constant(0.0)});
+      {Builder::read(b.graph.input), fixed(std::vector<int64_t>{0, 1, 0, 1}), fixed(0.0)});
   const Slot stem = b.relu6(b.conv(pad, at::randn({16, 3, 3, 3}), 2, 0));
   const Slot wide = b.relu6(b.conv(stem, at::randn({32, 16, 1, 1}), 1, 0));
   const Slot deep = b.relu6(b.conv(wide, at::randn({32, 1, 3, 3}), 1, 1, 32));
@@ -256,7 +256,7 @@ TEST(Plan, OtherOperatorsRunThroughTheDispatcher) {
   const Slot scaled = b.add("mul.Tensor", {Builder::read(swish), Builder::read(gate)});
   const Slot shift = b.weight(at::randn({16, 1, 1})), scale = b.weight(at::randn({16, 1, 1}));
   const Slot norm = b.relu(b.add("addcmul.default", {Builder::read(shift), Builder::read(scaled),
-                                                     Builder::read(scale), constant(1)}));
+                                                     Builder::read(scale), fixed(1)}));
   const Slot last = b.conv(norm, at::randn({24, 16, 3, 3}), 1, 0);
   expect_same(b.finish(b.sum(last, last), 24), "squeeze and excite");
 }

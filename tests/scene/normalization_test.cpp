@@ -38,5 +38,22 @@ TEST(Normalization, CamerasAndFramesGoAlong) {
   EXPECT_NEAR(frame.distance, 2, 1e-12);
 }
 
+TEST(Normalization, ATurnedWorldStandsUprightInsideAndKeepsItsViews) {
+  const Normalization turned = {0.92, {3, -2, 0.5}, {0.6, 0, 0.8}};
+  const at::Tensor world = at::tensor({3.6F, -2.F, 1.3F, 1.F, 7.F, -4.F}).view({2, 3});
+  const at::Tensor inside = turned.to_inside(world);
+  EXPECT_TRUE(at::allclose(inside[0], at::tensor({0.F, 0.F, 0.92F}), 1e-5, 1e-6));
+  EXPECT_TRUE(at::allclose(turned.to_world(inside), world, 1e-5, 1e-5));
+  const ViewFrame frame = {{0.1, 0.2, 0}, 1, 4, 40};
+  const Camera expected = orbit_view(frame, 30, 20, 64).camera;
+  const Camera camera = orbit_view(turned.to_world(frame), 30, 20, 64).camera;
+  const Camera back = turned.to_inside(camera);
+  const Camera there = turned.to_world(expected);
+  for (size_t i = 0; i < 16; ++i) {
+    EXPECT_NEAR(back.camera_to_world[i], expected.camera_to_world[i], 1e-9);
+    EXPECT_NEAR(there.camera_to_world[i], camera.camera_to_world[i], 1e-9);
+  }
+}
+
 }  // namespace
 }  // namespace tt3d::scene

@@ -50,9 +50,10 @@ struct ProcessWatch {
 [[nodiscard]] std::string last_line(const std::string& text);
 
 /// Runs `name` of tt3d_tools with arguments. Its lines "@progress DONE TOTAL" go to `progress` as
-/// `stage`, "@note TEXT" as notes; all other lines are returned. If the tool fails, its last line
-/// is the message: status 2 throws InputError, 3 MissingToolError, anything else ResourceError. The
-/// time limit (seconds) throws ResourceError too. Ctrl-C ends the tool and throws Interrupted.
+/// `stage`, or as the stage that a line "@stage NAME" begins; "@note TEXT" goes there as a note.
+/// All other lines are returned. If the tool fails, its last line is the message: status 2 throws
+/// InputError, 3 MissingToolError, anything else ResourceError. The time limit (seconds) throws
+/// ResourceError too. Ctrl-C ends the tool and throws Interrupted.
 std::string run_tool(const std::string& name, const std::vector<std::string>& arguments,
                      const std::string& stage, double time_limit_seconds, Progress& progress);
 

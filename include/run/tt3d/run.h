@@ -58,6 +58,9 @@ class Run {
   /// Runs all stages up to and including `last` that are not done. Throws the errors of the stages;
   /// InputError if a file has changed since a finished or interrupted stage read it.
   void run_until(const std::string& last, Progress& progress);
+  /// Writes asset/clean.glb and .obj of the reconstructed object, before any attack. Runs the
+  /// stages up to the mesh if needed.
+  void bake_clean(Progress& progress);
   /// True if the stage has finished and its product still exists.
   [[nodiscard]] bool done(const Stage& stage) const;
 

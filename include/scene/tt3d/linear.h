@@ -53,4 +53,39 @@ inline Vec3 to_local(const Mat4& m, const Vec3& p) {
   return {dot(column(m, 0), d), dot(column(m, 1), d), dot(column(m, 2), d)};
 }
 
+/// The smallest rotation that turns the unit vector `up` to +Z, as a matrix without translation.
+inline Mat4 rotation_to_z(const Vec3& up) {
+  if (up[2] < -1 + 1e-9) return frame({1, 0, 0}, {0, -1, 0}, {0, 0, -1}, {0, 0, 0});
+  // Rodrigues' formula with axis up x z.
+  const double a = up[0], b = up[1], k = 1 / (1 + up[2]);
+  return {1 - k * a * a,
+          -k * a * b,
+          -a,
+          0,  //
+          -k * a * b,
+          1 - k * b * b,
+          -b,
+          0,  //
+          a,
+          b,
+          up[2],
+          0,  //
+          0,
+          0,
+          0,
+          1};
+}
+/// The transpose of a matrix without translation: the inverse of a rotation.
+inline Mat4 transposed(const Mat4& m) {
+  Mat4 out{};
+  for (int r = 0; r < 4; ++r) {
+    for (int c = 0; c < 4; ++c) out[4 * c + r] = m[4 * r + c];
+  }
+  return out;
+}
+/// A vector rotated by a matrix without translation.
+inline Vec3 rotated(const Mat4& m, const Vec3& v) {
+  return v[0] * column(m, 0) + v[1] * column(m, 1) + v[2] * column(m, 2);
+}
+
 }  // namespace tt3d::scene::linear

@@ -66,9 +66,10 @@ struct SampledView {
 /// distance and field of view.
 struct ViewFrame {
   std::array<double, 3> centre{0, 0, 0};
-  double radius = 1;      ///< radius of the object's bounding sphere
-  double distance = 4;    ///< median camera distance of the capture
-  double fov_y_deg = 40;  ///< vertical field of view
+  double radius = 1;                  ///< radius of the object's bounding sphere
+  double distance = 4;                ///< median camera distance of the capture
+  double fov_y_deg = 40;              ///< vertical field of view
+  std::array<double, 3> up{0, 0, 1};  ///< unit vector that the views take as up
 };
 
 /// Distributions of random views.
@@ -90,7 +91,7 @@ enum class ViewDistribution {
                                                     const ViewFrame& frame);
 
 /// The view of `size` x `size` pixels from an azimuth and elevation in degrees, at the distance of
-/// the frame from its centre, +Z up.
+/// the frame from its centre.
 [[nodiscard]] SampledView orbit_view(const ViewFrame& frame, double azimuth_deg,
                                      double elevation_deg, int size);
 
@@ -99,10 +100,12 @@ enum class ViewDistribution {
 
 // ---- The normalised frame -----------------------------------------------------------------
 
-/// Similarity that scales the object into [-1,1]^3: inside = scale * (world - centre).
+/// Similarity that turns the world upright and scales the object into [-1,1]^3:
+/// inside = scale * R (world - centre), where R is the smallest rotation that turns `up` to +Z.
 struct Normalization {
   double scale = 1;
   std::array<double, 3> centre{0, 0, 0};
+  std::array<double, 3> up{0, 0, 1};  ///< unit vector, in the world
 
   /// Transforms points [V,3] from the world to the normalised frame, and back. Computes in float64,
   /// returns float32.
