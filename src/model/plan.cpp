@@ -11,8 +11,8 @@ namespace {
 using torch::autograd::AutogradContext;
 using torch::autograd::variable_list;
 
-struct HeldPass : torch::CustomClassHolder {
-  HeldPass(std::shared_ptr<const Plan> used, std::shared_ptr<PlanPass> done)
+struct PlannedPass : torch::CustomClassHolder {
+  PlannedPass(std::shared_ptr<const Plan> used, std::shared_ptr<PlanPass> done)
       : plan(std::move(used)), pass(std::move(done)) {}
   std::shared_ptr<const Plan> plan;
   std::shared_ptr<PlanPass> pass;
@@ -24,14 +24,14 @@ struct PlanLogits : torch::autograd::Function<PlanLogits> {
                             const std::shared_ptr<const Plan>& plan, MemoryMeter* meter) {
     const auto pass = plan->forward(images, true, *meter);
     context->saved_data["pass"] =
-        c10::IValue::make_capsule(c10::make_intrusive<HeldPass>(plan, pass));
+        c10::IValue::make_capsule(c10::make_intrusive<PlannedPass>(plan, pass));
     const at::Tensor logits = pass->value(plan->graph().output).detach();
     pass->release(plan->graph().output);
     return logits;
   }
   static variable_list backward(AutogradContext* context, const variable_list& gradients) {
     const auto holder = context->saved_data["pass"].toCapsule();
-    const auto& held = static_cast<HeldPass&>(*holder);
+    const auto& held = static_cast<PlannedPass&>(*holder);
     return {held.plan->backward(*held.pass, gradients[0]), at::Tensor(), at::Tensor()};
   }
 };
