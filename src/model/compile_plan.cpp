@@ -48,17 +48,34 @@ std::unordered_map<Slot, Sizes> find_shapes(const Graph& graph, int64_t memory) 
   return shapes;
 }
 
-/// The graph without in-place operators, as far as their input has no other reader; false if one
-/// remains.
+/// Operators whose result is new memory, never a view of a weight.
+bool gives_new_memory(const std::string& target) {
+  static const std::unordered_set<std::string> names = {
+      "aten::conv2d", "aten::batch_norm", "aten::addcmul", "aten::linear",
+      "aten::add",    "aten::mul",        "aten::cat",     "aten::max_pool2d"};
+  return names.count(target) != 0;
+}
+
+/// The graph without in-place operators, as far as their input is new memory without another
+/// reader; false if one remains.
 bool make_functional(Graph& graph) {
   const std::vector<int> reads = count_reads(graph);
+  std::unordered_set<Slot> fresh;
+  for (const Step& step : graph.steps) {
+    std::string target = step.target;
+    if (target.ends_with('_')) target.pop_back();  // its own input is checked below
+    if (!step.op || !gives_new_memory(target)) continue;
+    for (const Output& output : step.outputs) {
+      fresh.insert(output.slots.begin(), output.slots.end());
+    }
+  }
   for (Step& step : graph.steps) {
     if (!step.op || !writes_in_place(step)) continue;
     const Input& self = step.inputs[0];
     const auto& schema = step.op->schema();
     std::string name = schema.name();
     if (self.kind != Input::Kind::kSlot || reads[static_cast<size_t>(self.slot)] != 1 ||
-        !name.ends_with('_')) {
+        fresh.count(self.slot) == 0 || !name.ends_with('_')) {
       return false;
     }
     name.pop_back();

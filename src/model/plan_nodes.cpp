@@ -55,7 +55,8 @@ class AffineNode final : public ClampedNode {
   }
   void spread(PlanPass& pass, at::Tensor gradient) const override {
     if (spec_.scale.defined()) {
-      gradient = own(std::move(gradient)).mul_(spec_.scale.to(gradient.scalar_type()));
+      gradient = own(std::move(gradient));
+      gradient.mul_(spec_.scale.to(gradient.scalar_type()));
     }
     pass.add_gradient(spec_.input, std::move(gradient));
   }

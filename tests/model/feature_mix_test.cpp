@@ -71,8 +71,12 @@ TEST(FeatureMix, PicturesAmongThemselvesAndWithoutLayersStayAsTheyAre) {
     const auto model = toy_classifier(name);
     const at::Tensor images = at::rand({3, 3, 16, 16}), others = at::rand({3, 3, 16, 16});
     const at::Tensor plain = model->logits(images);
-    EXPECT_TRUE(model->mixed_logits(images, mix_of(images, 1)).equal(plain)) << name;
-    EXPECT_TRUE(model->mixed_logits(images, mix_of(others, 0)).equal(plain)) << name;
+    // Mixed pictures run step by step; the others may run compiled, which rounds differently.
+    const auto near = [&](const at::Tensor& logits) {
+      return at::allclose(logits, plain, 1e-5, 1e-5);
+    };
+    EXPECT_TRUE(near(model->mixed_logits(images, mix_of(images, 1)))) << name;
+    EXPECT_TRUE(near(model->mixed_logits(images, mix_of(others, 0)))) << name;
     const at::Tensor mixed = model->mixed_logits(images, mix_of(others, 1));
     EXPECT_FALSE(at::allclose(mixed, plain, 1e-2, 1e-3)) << name;
     EXPECT_TRUE(model->mixed_logits(images, mix_of(others, 1)).equal(mixed)) << name;

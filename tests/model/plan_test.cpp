@@ -168,8 +168,8 @@ class Builder {
 
   /// Averages the pictures and gives five logits.
   Graph finish(Slot features, int64_t channels) {
-    const Slot mean = add("mean.dim", {read(features), fixed(std::vector<int64_t>{2, 3}),
-                                       fixed(false), fixed({})});
+    const Slot mean = add(
+        "mean.dim", {read(features), fixed(std::vector<int64_t>{2, 3}), fixed(false), fixed({})});
     const Slot linear = weight(at::randn({5, channels}));
     graph.output = add("linear.default", {read(mean), read(linear), fixed({})});
     find_last_uses(graph);
@@ -222,9 +222,9 @@ void expect_same(const Graph& graph, const std::string& what) {
 TEST(Plan, InvertedResidualsEqualTheGraph) {
   at::manual_seed(5);
   Builder b(17);
-  const Slot pad = b.add(
-      "constant_pad_nd.default",
-      {Builder::read(b.graph.input), fixed(std::vector<int64_t>{0, 1, 0, 1}), fixed(0.0)});
+  const Slot pad =
+      b.add("constant_pad_nd.default",
+            {Builder::read(b.graph.input), fixed(std::vector<int64_t>{0, 1, 0, 1}), fixed(0.0)});
   const Slot stem = b.relu6(b.conv(pad, at::randn({16, 3, 3, 3}), 2, 0));
   const Slot wide = b.relu6(b.conv(stem, at::randn({32, 16, 1, 1}), 1, 0));
   const Slot deep = b.relu6(b.conv(wide, at::randn({32, 1, 3, 3}), 1, 1, 32));
