@@ -69,12 +69,18 @@ TT3D_HD void set_bits(const Integer* values, int64_t blocks, Integer high, uint1
 }
 
 /// Sets the lanes whose bit is not set to zero; `first`: index of lane 0 in its block.
-template <typename Lanes, typename Integer, int kLanes, typename Value>
-TT3D_HD void clear_lanes(Value& value, uint16_t word, int64_t first) {
+template <int kBytes, typename Number, typename Integer>
+TT3D_HD void clear_lanes(typename VectorOf<kBytes>::template Of<Number>::Type& value, uint16_t word,
+                         int64_t first) {
+  using Lanes = typename VectorOf<kBytes>::template Of<Integer>::Type;
+  using Numbers = typename VectorOf<kBytes>::template Of<Number>::Type;
   Lanes bit;
-  for (int i = 0; i < kLanes; ++i) bit[i] = static_cast<Integer>(1LL << i);
+  for (int i = 0; i < kBytes / static_cast<int>(sizeof(Number)); ++i) {
+    bit[i] = static_cast<Integer>(1LL << i);
+  }
   const Lanes all = Lanes{} + static_cast<Integer>(word >> first);
-  value = (all & bit) != 0 ? value : Value{};
+  const Numbers zero = {};
+  value = (all & bit) != 0 ? value : zero;
 }
 
 template <int kVectorBytes, typename Integer>
@@ -83,8 +89,8 @@ TT3D_HD void clear_unset(Integer* values, int64_t blocks, const uint16_t* bits) 
   using Lanes = FloatLanes<kVectorBytes, Integer>;
   for (int64_t b = 0; b < blocks; ++b) {
     for (int i = 0; i < kBlock; i += kLanes) {
-      clear_lanes<Lanes, Integer, kLanes>(*reinterpret_cast<Lanes*>(values + b * kBlock + i),
-                                          bits[b], i);
+      clear_lanes<kLanes* static_cast<int>(sizeof(Integer)), Integer, Integer>(
+          *reinterpret_cast<Lanes*>(values + b * kBlock + i), bits[b], i);
     }
   }
 }
@@ -225,8 +231,8 @@ TT3D_HD void finish(const DepthwiseRow<Storage, Sum>& row, typename V::Type& sum
   const int64_t place = j * row.out_step * row.channels + c;
   if (row.bits != nullptr) {
     using Integer = std::conditional_t<sizeof(Sum) == 4, int32_t, int64_t>;
-    using Lanes = typename VectorOf<sizeof(Vector)>::template Of<Integer>::Type;
-    clear_lanes<Lanes, Integer, V::kLanes>(sum, row.bits[place / kBlock], c % kBlock);
+    clear_lanes<static_cast<int>(sizeof(Vector)), Sum, Integer>(sum, row.bits[place / kBlock],
+                                                                c % kBlock);
   }
   V::store(sum, row.out + place);
 }
