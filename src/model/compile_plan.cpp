@@ -87,6 +87,16 @@ bool make_functional(Graph& graph) {
   return true;
 }
 
+/// A transformer's only convolution cuts the picture into patches; the rest is its own time.
+bool pays_off(const Graph& graph) {
+  int64_t convolutions = 0, linear = 0;
+  for (const Step& step : graph.steps) {
+    convolutions += step.target == "aten::conv2d" ? 1 : 0;
+    linear += step.target == "aten::linear" ? 1 : 0;
+  }
+  return convolutions >= 2 && convolutions > linear;
+}
+
 /// Builds the nodes of a plan.
 class Compiler {
  public:
@@ -110,7 +120,6 @@ class Compiler {
     for (size_t i = 0; i < graph_.steps.size(); ++i) {
       if (!taken_[i]) match(i);
     }
-    if (!pays_off()) return nullptr;
     join_masks();
     auto nodes = in_order();
     find_releases(nodes);
@@ -146,10 +155,6 @@ class Compiler {
   }
   bool same_shape(Slot a, Slot b) const {
     return is_picture(a) && is_picture(b) && shapes_.at(a) == shapes_.at(b);
-  }
-  at::Tensor constant(const Input& input) const {
-    const auto found = graph_.constants.find(input.kind == Input::Kind::kSlot ? input.slot : -1);
-    return found == graph_.constants.end() ? at::Tensor() : found->second;
   }
 
   /// The only step that reads a value; none if several do or the graph gives it.
@@ -198,8 +203,8 @@ class Compiler {
     if (step.target != "aten::conv2d" || !step.op->schema().overload_name().empty()) return {};
     ConvolutionSpec spec;
     spec.name = step.name;
-    spec.weight = constant(argument(step, "weight"));
-    spec.bias = constant(argument(step, "bias"));
+    spec.weight = weight_of(graph_, argument(step, "weight"));
+    spec.bias = weight_of(graph_, argument(step, "bias"));
     spec.stride = two(argument(step, "stride"));
     spec.padding = two(argument(step, "padding"));
     spec.dilation = two(argument(step, "dilation"));
@@ -234,8 +239,8 @@ class Compiler {
     spec.output = step.outputs[0].slots[0];
     if (!is_picture(spec.output)) return {};
     if (step.target == "aten::addcmul") {
-      spec.shift = constant(step.inputs[0]);
-      spec.scale = constant(step.inputs[2]);
+      spec.shift = weight_of(graph_, step.inputs[0]);
+      spec.scale = weight_of(graph_, step.inputs[2]);
       const Input& value = step.inputs[3];
       const bool plain = step.inputs[1].kind == Input::Kind::kSlot && spec.shift.defined() &&
                          spec.scale.defined() && value.kind == Input::Kind::kConstant &&
@@ -329,14 +334,6 @@ class Compiler {
     made.output = graph_.steps[*next].outputs[0].slots[0];
     taken_[*next] = true;
     return *next;
-  }
-
-  /// A transformer's only convolution cuts the picture into patches; the rest is its own time.
-  bool pays_off() const {
-    int64_t convolutions = 0, linear = 0;
-    for (const auto& end : ends_) convolutions += end && end->convolution ? 1 : 0;
-    for (const Step& step : graph_.steps) linear += step.target == "aten::linear" ? 1 : 0;
-    return convolutions >= 2 && convolutions > linear;
   }
 
   /// A mask is applied by the one reader of the value if that reader can do it on its way.
@@ -458,7 +455,7 @@ class Compiler {
 
 std::shared_ptr<const Plan> compile_plan(const Graph& graph, Precision precision, int64_t memory) {
   Graph functional = graph;
-  const bool possible = at::hasMKLDNN() && precision != Precision::kTf32 &&
+  const bool possible = at::hasMKLDNN() && precision != Precision::kTf32 && pays_off(graph) &&
                         can_use_channels_last(graph) && make_functional(functional);
   return possible ? Compiler(functional, precision, memory).plan() : nullptr;
 }

@@ -1,11 +1,9 @@
 #include <ATen/ATen.h>
 #include <ATen/core/dispatch/Dispatcher.h>
-#include <fmt/format.h>
 
 #include <cmath>
 #include <limits>
 
-#include "malformed.h"
 #include "plan_nodes.h"
 
 namespace tt3d::model {
@@ -13,10 +11,13 @@ namespace {
 
 using Sizes = std::vector<int64_t>;
 
-/// Calls an operator of libtorch that has no function of its own: oneDNN's convolutions with
-/// weights made ready and an activation (registered in ATen/native/mkldnn).
-at::Tensor call(const char* name, const char* overload, torch::jit::Stack stack) {
-  const auto op = c10::Dispatcher::singleton().findSchemaOrThrow(name, overload);
+/// An operator of libtorch that has no function of its own: oneDNN's convolutions with weights made
+/// ready and an activation (registered in ATen/native/mkldnn).
+c10::OperatorHandle operator_named(const char* name, const char* overload = "") {
+  return c10::Dispatcher::singleton().findSchemaOrThrow(name, overload);
+}
+
+at::Tensor call(const c10::OperatorHandle& op, torch::jit::Stack stack) {
   op.callBoxed(stack);
   return stack.at(0).toTensor();
 }
@@ -49,18 +50,18 @@ class Packed {
 
   at::Tensor run(const at::Tensor& x, const Clamp& clamp) {
     make_ready(x);
-    return call("mkldnn::_convolution_pointwise", "",
-                {x, ready_, optional(bias_), padding_, stride_, dilation_, groups_,
-                 unary_name(clamp), unary_numbers(clamp), ""});
+    static const auto op = operator_named("mkldnn::_convolution_pointwise");
+    return call(op, {x, ready_, optional(bias_), padding_, stride_, dilation_, groups_,
+                     unary_name(clamp), unary_numbers(clamp), ""});
   }
 
   /// clamp(convolution + sum); the clamp must be a relu or none.
   at::Tensor run_and_add(const at::Tensor& x, const at::Tensor& sum, const Clamp& clamp) {
     make_ready(x);
     const c10::IValue unary = clamp.active ? c10::IValue("relu") : c10::IValue();
-    return call("mkldnn::_convolution_pointwise", "binary",
-                {x, sum, ready_, optional(bias_), padding_, stride_, dilation_, groups_, "add",
-                 c10::IValue(), unary, c10::List<std::optional<at::Scalar>>(), c10::IValue()});
+    static const auto op = operator_named("mkldnn::_convolution_pointwise", "binary");
+    return call(op, {x, sum, ready_, optional(bias_), padding_, stride_, dilation_, groups_, "add",
+                     c10::IValue(), unary, c10::List<std::optional<at::Scalar>>(), c10::IValue()});
   }
 
   bool holds(const at::Tensor& weight) const {
@@ -74,8 +75,8 @@ class Packed {
 
   void make_ready(const at::Tensor& x) {
     if (ready_.defined()) return;
-    ready_ = call("mkldnn::_reorder_convolution_weight", "",
-                  {weight_, padding_, stride_, dilation_, groups_, x.sizes().vec()});
+    static const auto op = operator_named("mkldnn::_reorder_convolution_weight");
+    ready_ = call(op, {weight_, padding_, stride_, dilation_, groups_, x.sizes().vec()});
     weight_.reset();
   }
 
@@ -249,10 +250,7 @@ class ConvolutionNode : public PlanNode {
     try {
       pass.set(spec_.output, result(pass, x, pass.keeps() ? &pass.kept(index) : nullptr));
     } catch (const c10::Error& error) {
-      if (is_out_of_memory(error)) throw MemoryLimit("out of memory");
-      const std::string text = error.what_without_backtrace();
-      throw Malformed(fmt::format("node '{}' (aten::conv2d) fails: {}", spec_.name,
-                                  text.substr(0, text.find('\n'))));
+      throw_node_error(spec_.name, "aten::conv2d", error);
     }
     if (!pass.keeps()) return;
     Kept& kept = pass.kept(index);

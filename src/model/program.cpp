@@ -51,6 +51,13 @@ bool is_layer(const Step& step) { return is_convolution(step) || step.target == 
 
 }  // namespace
 
+void throw_node_error(const std::string& name, const std::string& target, const c10::Error& error) {
+  if (is_out_of_memory(error)) throw MemoryLimit("out of memory");
+  const std::string text = error.what_without_backtrace();
+  throw Malformed(
+      fmt::format("node '{}' ({}) fails: {}", name, target, text.substr(0, text.find('\n'))));
+}
+
 class StepRunner::Run {
  public:
   Run(const Graph& graph, at::Device device, std::vector<IValue>& values, MemoryMeter& meter,
@@ -70,9 +77,7 @@ class StepRunner::Run {
     try {
       step.op ? call(step) : compute(step);
     } catch (const c10::Error& error) {
-      if (is_out_of_memory(error)) throw MemoryLimit("out of memory");
-      throw Malformed(fmt::format("node '{}' ({}) fails: {}", step.name, step.target,
-                                  first_line(error.what_without_backtrace())));
+      throw_node_error(step.name, step.target, error);
     } catch (const Malformed& error) {
       throw Malformed(fmt::format("node '{}' ({}): {}", step.name, step.target, error.what()));
     }
@@ -84,8 +89,6 @@ class StepRunner::Run {
 
  private:
   IValue& value(Slot slot) { return values_[static_cast<size_t>(slot)]; }
-
-  static std::string first_line(const std::string& text) { return text.substr(0, text.find('\n')); }
 
   void compute(const Step& step) {
     std::vector<IValue> arguments;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <string>
 #include <vector>
 
 #include "graph.h"
@@ -18,6 +19,11 @@ class LayerTap {
   /// `features`: the result of convolution or linear layer number `layer`, [N,C,...] or [N,...,C].
   virtual at::Tensor take(int64_t layer, const at::Tensor& features, bool channels_first) = 0;
 };
+
+/// Throws MemoryLimit if the operator of a node ran out of memory, else Malformed that names the
+/// node.
+[[noreturn]] void throw_node_error(const std::string& name, const std::string& target,
+                                   const c10::Error& error);
 
 /// Runs single steps of a graph on values by slot. It puts the constants of `graph` into `values`.
 class StepRunner {

@@ -67,16 +67,15 @@ bool is_zero_padding(const Step& step) {
          (value.constant.isScalar() && value.constant.toScalar().toDouble() == 0);
 }
 
-namespace {
-
-constexpr double kDefaultEpsilon = 1e-5;
-
-/// The weight bound to an argument; undefined if the argument is None or not a weight.
 at::Tensor weight_of(const Graph& graph, const Input& input) {
   if (input.kind != Input::Kind::kSlot) return {};
   const auto found = graph.constants.find(input.slot);
   return found == graph.constants.end() ? at::Tensor() : found->second;
 }
+
+namespace {
+
+constexpr double kDefaultEpsilon = 1e-5;
 
 bool is_conv(const Step& step) {
   return step.target == "aten::conv1d" || step.target == "aten::conv2d" ||

@@ -13,6 +13,9 @@ namespace tt3d::model {
 /// Argument of that name, which the step's schema must have.
 [[nodiscard]] const Input& argument(const Step& step, const char* name);
 
+/// The weight bound to an argument; undefined if the argument is None or not a weight.
+[[nodiscard]] at::Tensor weight_of(const Graph& graph, const Input& input);
+
 [[nodiscard]] bool is_none(const Input& input);
 
 /// A list of integers; empty if it is not one, or depends on the run.
